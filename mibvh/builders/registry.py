@@ -1,0 +1,225 @@
+"""The registry of builders: the paper's, and the user's own."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import time
+from collections.abc import Callable
+from typing import Any
+
+from mibvh.builders.draft import Draft
+from mibvh.builders.finish import finish
+from mibvh.errors import MibvhError
+from mibvh.tree import Tree
+from mibvh.triangles import as_triangles
+from mibvh.version import __version__
+
+
+def option(default: Any, help: str, low: float | None = None, high: float | None = None) -> Any:
+    """Declare a builder option: its default, its consequence, and its closed range."""
+    return dataclasses.field(default=default, metadata={"help": help, "low": low, "high": high})
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """What every builder takes. A builder's own options inherit from this.
+
+    Raises
+    ------
+    MibvhError
+        If a value is of the wrong type or outside its range.
+    """
+
+    max_leaf: int = option(8, "largest number of triangles in a leaf", 1, 255)
+    c_inner: float = option(1.2, "cost of an inner node (the paper's constant)", 0.0, 1e6)
+    c_tri: float = option(1.0, "cost of a triangle test (the paper's constant)", 1e-6, 1e6)
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value, kind = getattr(self, field.name), type(field.default)
+            if kind is float and isinstance(value, int):
+                value = float(value)
+                object.__setattr__(self, field.name, value)
+            if type(value) is not kind:
+                raise MibvhError(
+                    f"option {field.name} takes a {kind.__name__}, not {value!r}"
+                )
+            low, high = field.metadata.get("low"), field.metadata.get("high")
+            if low is not None and not low <= value <= high:
+                raise MibvhError(f"option {field.name} must be from {low} to {high}, not {value}")
+
+
+@dataclasses.dataclass(frozen=True)
+class Context:
+    """What a builder may ask of its surroundings while it runs.
+
+    Attributes
+    ----------
+    progress : callable
+        Called as ``progress(stage, done)`` with ``done`` from 0 to 1.
+    """
+
+    progress: Callable[[str, float], None] = lambda stage, done: None
+
+    def start(self, triangles: Any, name: str, options: Options) -> Draft:
+        """Build the draft an optimiser starts from, with the optimiser's cost constants."""
+        entry = get(name)
+        common = {f.name: getattr(options, f.name) for f in dataclasses.fields(Options)}
+        return entry.draft(triangles, entry.options(**common), self)
+
+
+BuildFunction = Callable[[Any, Any, Context], Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class Builder:
+    """A registered builder.
+
+    Attributes
+    ----------
+    name, summary, source : str
+        What it is called, one line on what it does, the paper it comes from.
+    options : type
+        A subclass of :class:`Options`.
+    function : callable
+        ``function(triangles, options, context)`` returning a :class:`Draft`, or nested
+        pairs of triangle ids (see :meth:`Draft.from_nested`).
+    """
+
+    name: str
+    summary: str
+    source: str
+    options: type[Options]
+    function: BuildFunction
+
+    def draft(self, triangles: Any, options: Options, context: Context) -> Draft:
+        """Run the builder proper, without the shared finishing."""
+        result = self.function(triangles, options, context)
+        return result if isinstance(result, Draft) else Draft.from_nested(result, triangles)
+
+    def describe(self) -> dict[str, Any]:
+        """Return a JSON-able description with the options' defaults and ranges."""
+        return {
+            "name": self.name,
+            "summary": self.summary,
+            "source": self.source,
+            "options": {
+                f.name: {"default": f.default, **f.metadata}
+                for f in dataclasses.fields(self.options)
+            },
+        }
+
+
+#: The paper's builders in the paper's order, and the module each one lives in.
+_BUNDLED: dict[str, str] = {
+    "bbvh": "mibvh.builders.sweep",
+    "lbvh": "mibvh.builders.morton",
+}
+_registered: dict[str, Builder] = {}
+
+
+def builder(
+    name: str, *, summary: str = "", source: str = "", options: type[Options] = Options
+) -> Callable[[BuildFunction], BuildFunction]:
+    """Register a builder; the study and the command line take it like the paper's own.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import mibvh
+    >>> @mibvh.builder("halves", summary="halve the list of triangles")
+    ... def halves(triangles, options, context):
+    ...     return np.arange(len(triangles))
+    >>> corners = np.random.default_rng(0).random((9, 3, 3))
+    >>> mibvh.build(corners, "halves").validate()
+    []
+    """
+
+    def register(function: BuildFunction) -> BuildFunction:
+        _registered[name] = Builder(name, summary, source, options, function)
+        return function
+
+    return register
+
+
+def names() -> list[str]:
+    """Names of all builders: the paper's first, then the user's in order of registration."""
+    return [*_BUNDLED, *(name for name in _registered if name not in _BUNDLED)]
+
+
+def get(name: str) -> Builder:
+    """Look a builder up by name.
+
+    Raises
+    ------
+    MibvhError
+        If there is none of that name.
+    """
+    if name not in _registered and name in _BUNDLED:
+        importlib.import_module(_BUNDLED[name])
+    if name not in _registered:
+        raise MibvhError(f"there is no builder {name!r}; there are: {', '.join(names())}")
+    return _registered[name]
+
+
+def build(
+    triangles: Any,
+    builder: str = "bbvh",
+    *,
+    progress: Callable[[str, float], None] | None = None,
+    **options: Any,
+) -> Tree:
+    """Build a tree.
+
+    Parameters
+    ----------
+    triangles : Triangles, Scene or (N, 3, 3) array
+        The geometry.
+    builder : str
+        A name from :func:`names`.
+    progress : callable, optional
+        Called as ``progress(stage, done)`` with ``done`` from 0 to 1.
+    **options
+        The builder's options; ``max_leaf``, ``c_inner`` and ``c_tri`` are common to all.
+
+    Returns
+    -------
+    Tree
+        The same bits for the same input and options, on any number of threads.
+
+    Raises
+    ------
+    MibvhError
+        For an unknown builder or an impossible option.
+    """
+    triangles = as_triangles(triangles)
+    entry = get(builder)
+    known = {f.name for f in dataclasses.fields(entry.options)}
+    if unknown := sorted(set(options) - known):
+        raise MibvhError(
+            f"builder {builder} has no option {unknown[0]!r}; it has: {', '.join(sorted(known))}"
+        )
+    chosen = entry.options(**options)
+    context = Context(progress) if progress else Context()
+    started = time.perf_counter()
+    draft = entry.draft(triangles, chosen, context)
+    meta = {
+        "builder": builder,
+        "options": dataclasses.asdict(chosen),
+        "triangles": len(triangles),
+        "digest": triangles.digest,
+        "c_inner": chosen.c_inner,
+        "c_tri": chosen.c_tri,
+        "report": draft.report,
+        "mibvh": __version__,
+    }
+    tree = finish(
+        draft,
+        c_inner=chosen.c_inner,
+        c_tri=chosen.c_tri,
+        max_leaf=chosen.max_leaf,
+        meta=meta,
+    )
+    meta = {**tree.meta, "build_seconds": time.perf_counter() - started}
+    return tree.replace(meta=meta)

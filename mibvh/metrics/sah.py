@@ -1,0 +1,56 @@
+"""The surface area heuristic (Aila, Karras and Laine 2013, equation 1)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mibvh.tree import Tree
+from mibvh.triangles import F64
+
+
+def node_costs(tree: Tree, c_inner: float | None = None, c_tri: float | None = None) -> F64:
+    """Cost of visiting each node: ``c_inner``, or ``c_tri`` times a leaf's references.
+
+    Parameters
+    ----------
+    tree : Tree
+    c_inner, c_tri : float, optional
+        By default what the tree was built with, or the paper's 1.2 and 1.0.
+
+    Returns
+    -------
+    (M,) float64
+    """
+    inner = tree.meta.get("c_inner", 1.2) if c_inner is None else c_inner
+    tri = tree.meta.get("c_tri", 1.0) if c_tri is None else c_tri
+    return np.where(tree.is_leaf, tri * tree.count, inner).astype(np.float64)
+
+
+def sah_per_node(tree: Tree, c_inner: float | None = None, c_tri: float | None = None) -> F64:
+    """Each node's share of the SAH: ``C_n A_n / A_root``, root included.
+
+    Returns
+    -------
+    (M,) float64
+        Where the root has no area at all, every ratio of areas is taken as 1.
+    """
+    areas = tree.half_areas
+    ratio = areas / areas[0] if areas[0] > 0 else np.ones_like(areas)
+    return node_costs(tree, c_inner, c_tri) * ratio
+
+
+def sah(tree: Tree, c_inner: float | None = None, c_tri: float | None = None) -> float:
+    """Expected cost of a long random ray, by the surface area heuristic.
+
+    Parameters
+    ----------
+    tree : Tree
+    c_inner, c_tri : float, optional
+        By default what the tree was built with, or the paper's 1.2 and 1.0.
+
+    Returns
+    -------
+    float
+        In units of the cost constants.
+    """
+    return float(sah_per_node(tree, c_inner, c_tri).sum())
