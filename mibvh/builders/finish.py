@@ -3,6 +3,11 @@
 Every builder's draft goes through here. The collapse is the optimal one: bottom-up, a
 subtree becomes a leaf where ``C_tri * triangles * area`` is no dearer than the best the
 subtree can do (Karras and Aila 2013, section 4; the sum of Aila et al. 2013, eq. 1).
+
+All of it happens in one walk over the draft that leaves each subtree behind as a finished
+piece of the tree (:func:`_walk`). The walk goes backwards, right before left and children
+before parents, and writes nodes from the end of the arrays towards their beginning: what
+comes out stands parents first, siblings adjacent, the left subtree before the right one.
 """
 
 from __future__ import annotations
@@ -12,87 +17,27 @@ from typing import Any
 import numpy as np
 
 from mibvh._jit import njit
-from mibvh.builders.draft import Draft, References
+from mibvh.builders.draft import Draft
 from mibvh.tree import MAX_DEPTH, Tree
-from mibvh.triangles import F32
+from mibvh.triangles import F32, I32
 
 #: A leaf of a split tree may hold a triangle twice; ranges up to this many references are
 #: counted without repetition before they are refused as a leaf.
 _MAX_DUPLICATED = 32
 
-
-@njit
-def _preorder(left, right, reference):
-    """Order nodes parent-first, and references as the leaves come.
-
-    Returns the nodes in preorder, the reference ids in leaf order, and for each preorder
-    position: its parent's position, the first of its references, their number, and the
-    size of its subtree. Subtrees are contiguous, so a node's left child is the next one.
-    """
-    nodes = len(left)
-    order = np.empty(nodes, np.int32)
-    parent = np.empty(nodes, np.int32)
-    first = np.empty(nodes, np.int32)
-    count = np.zeros(nodes, np.int32)
-    leaf_order = np.empty((nodes + 1) // 2, np.int32)
-    stack = np.empty(nodes + 1, np.int32)
-    stack_parent = np.empty(nodes + 1, np.int32)
-    stack[0], stack_parent[0], depth = 0, -1, 1
-    position, leaves = 0, 0
-    while depth > 0:
-        depth -= 1
-        node = stack[depth]
-        order[position] = node
-        parent[position] = stack_parent[depth]
-        first[position] = leaves
-        if left[node] < 0:
-            leaf_order[leaves] = reference[node]
-            leaves += 1
-            count[position] = 1
-        else:
-            stack[depth], stack_parent[depth] = right[node], position
-            stack[depth + 1], stack_parent[depth + 1] = left[node], position
-            depth += 2
-        position += 1
-    for p in range(position - 1, 0, -1):
-        count[parent[p]] += count[p]
-    return order[:position], leaf_order[:leaves], parent[:position], first[:position], count[:position]
+#: Subtrees this far down are rebuilt if they reach below ``MAX_DEPTH``. No real subtree has
+#: over 2**24 references, so halving what is below fits into the levels that are left.
+_REPAIR_DEPTH = MAX_DEPTH - 24
 
 
 @njit
-def _bounds(parent, count, first, leaf_order, lower, upper):
-    """Bottom-up node boxes: (P, 6) float32, lower corner then upper, by preorder position."""
-    nodes = len(parent)
-    box = np.empty((nodes, 6), np.float32)
-    for p in range(nodes):
-        for k in range(3):
-            box[p, k] = np.inf
-            box[p, k + 3] = -np.inf
-    for p in range(nodes - 1, -1, -1):
-        if count[p] == 1:
-            r = leaf_order[first[p]]
-            for k in range(3):
-                box[p, k] = lower[r, k]
-                box[p, k + 3] = upper[r, k]
-        q = parent[p]
-        if q >= 0:
-            for k in range(3):
-                if box[p, k] < box[q, k]:
-                    box[q, k] = box[p, k]
-                if box[p, k + 3] > box[q, k + 3]:
-                    box[q, k + 3] = box[p, k + 3]
-    return box
-
-
-@njit
-def _distinct(leaf_order, triangle, first, count, limit):
-    """Count the distinct triangles of a range; ``limit + 1`` for "more than limit"."""
+def _distinct(ids, first, end, limit):
+    """Count the distinct values of ``ids[first:end]``; ``limit + 1`` for "more than limit"."""
     distinct = 0
-    for i in range(first, first + count):
-        t = triangle[leaf_order[i]]
+    for i in range(first, end):
         seen = False
         for j in range(first, i):
-            if triangle[leaf_order[j]] == t:
+            if ids[j] == ids[i]:
                 seen = True
                 break
         if not seen:
@@ -103,132 +48,245 @@ def _distinct(leaf_order, triangle, first, count, limit):
 
 
 @njit
-def _collapse(parent, first, count, box, leaf_order, triangle, split, c_inner, c_tri, max_leaf):
-    """Decide which positions become leaves.
-
-    Returns (P,) bool, and (P,) float64: the least cost of each subtree, times its area.
-    """
-    nodes = len(parent)
-    cost = np.zeros(nodes, np.float64)
-    leaf = np.zeros(nodes, np.bool_)
-    for p in range(nodes - 1, -1, -1):
-        x = np.float64(box[p, 3]) - box[p, 0]
-        y = np.float64(box[p, 4]) - box[p, 1]
-        z = np.float64(box[p, 5]) - box[p, 2]
-        area = x * y + y * z + z * x
-        if count[p] == 1:
-            leaf[p] = True
-            cost[p] = c_tri * area
-        else:
-            cost[p] += c_inner * area
-            size = count[p]
-            if split and size <= _MAX_DUPLICATED:
-                size = _distinct(leaf_order, triangle, first[p], size, max_leaf)
-            if size <= max_leaf and c_tri * size * area <= cost[p]:
-                leaf[p] = True
-                cost[p] = c_tri * size * area
-        if parent[p] >= 0:
-            cost[parent[p]] += cost[p]
-    return leaf, cost
+def _drop_repeats(ids, first, end):
+    """Keep the first of equal values of ``ids[first:end]``, moved to its end; return its start."""
+    kept = end
+    for i in range(end - 1, first - 1, -1):
+        seen = False
+        for j in range(first, i):
+            if ids[j] == ids[i]:
+                seen = True
+                break
+        if not seen:
+            kept -= 1
+            ids[kept] = ids[i]
+    return kept
 
 
 @njit
-def _emit(parent, first, count, box, leaf, leaf_order, triangle, split):
-    """Write the final arrays: depth-first, siblings adjacent, no repeated triangle in a leaf."""
-    nodes = len(parent)
-    # A node of the tree is one with no leaf above it; the size of a subtree of n references
-    # is 2n - 1, so a left child stands at p + 1 and a right child at p + 2 * count(left).
-    kept = np.zeros(nodes, np.bool_)
-    kept[0] = True
-    total = 1
-    for p in range(1, nodes):
-        q = parent[p]
-        if kept[q] and not leaf[q]:
-            kept[p] = True
-            total += 1
-    lower = np.empty((total, 3), np.float32)
-    upper = np.empty((total, 3), np.float32)
-    left = np.full(total, -1, np.int32)
-    out_first = np.empty(total, np.int32)
-    out_count = np.zeros(total, np.int32)
-    depth = np.zeros(total, np.int32)
-    references = np.empty(len(leaf_order), np.int32)
-    stack = np.empty(total + 1, np.int32)
-    place = np.empty(total + 1, np.int32)
-    stack[0], place[0], top = 0, 0, 1
-    used, written = 1, 0
+def _half_area(x0, y0, z0, x1, y1, z1):
+    """Half the surface area of a box, float64."""
+    x, y, z = np.float64(x1) - x0, np.float64(y1) - y0, np.float64(z1) - z0
+    return x * y + y * z + z * x
+
+
+@njit
+def _write(out, n, box, unscale, child, first, count):
+    """Write node n. Taking its box back to scene units is exact, the factor a power of two."""
+    lower, upper, left, out_first, out_count, _ = out
+    x0, y0, z0, x1, y1, z1 = box
+    lower[n, 0], lower[n, 1], lower[n, 2] = x0 * unscale, y0 * unscale, z0 * unscale
+    upper[n, 0], upper[n, 1], upper[n, 2] = x1 * unscale, y1 * unscale, z1 * unscale
+    left[n], out_first[n], out_count[n] = child, first, count
+
+
+@njit
+def _walk(left, right, reference, lower, upper, triangle, split, costs, max_leaf, unscale, out):
+    """Walk a draft once, backwards, and write the tree.
+
+    A finished subtree is a handful of numbers: its box, its least cost times its area, its
+    range of references, its height, and where its children were written. Only the pairs of
+    nodes below it are in memory; it is written itself together with its sibling, when both
+    are known. A subtree that is better off as a leaf takes back what was written below it
+    by setting the write position back.
+
+    Parameters
+    ----------
+    left, right, reference : (2R - 1,) int32
+        The draft.
+    lower, upper : (R, 3) float32; triangle : (R,) int32
+        Its references.
+    split : bool
+        Whether a triangle may have several references.
+    costs : (float, float)
+        ``C_inner``, ``C_tri``.
+    max_leaf : int
+    unscale : float32
+        What takes builder units back to scene units.
+    out : tuple of arrays
+        lower, upper (2R - 1, 3); left, first, count (2R - 1,); references (R,): written
+        from their ends.
+
+    Returns
+    -------
+    nodes, references, height : int
+        How many were written, and the edges on the longest path.
+    cost, area : float
+        Of the root, in builder units.
+    """
+    ids = out[5]
+    c_inner, c_tri = costs
+    # One frame per ancestor of the current node. While its right child is being worked on
+    # ("waiting"), it knows only where writing stood before; then it keeps that child.
+    frames = len(ids) + 1
+    node_of = np.empty(frames, np.int32)
+    place_of = np.empty(frames, np.int32)
+    waiting = np.empty(frames, np.bool_)
+    box_of = np.empty((frames, 6), np.float32)
+    cost_of = np.empty(frames, np.float64)
+    rest_of = np.empty((frames, 4), np.int32)
+    place, written = np.int32(len(out[2])), np.int32(len(ids))
+    node, top = np.int32(0), 0
+    while True:
+        while left[node] >= 0:
+            node_of[top], place_of[top], waiting[top] = node, place, True
+            top += 1
+            node = right[node]
+        # A leaf: the finished subtree is one reference.
+        r = reference[node]
+        x0, y0, z0 = lower[r, 0], lower[r, 1], lower[r, 2]
+        x1, y1, z1 = upper[r, 0], upper[r, 1], upper[r, 2]
+        area = _half_area(x0, y0, z0, x1, y1, z1)
+        cost = c_tri * area
+        written -= np.int32(1)
+        ids[written] = triangle[r]
+        child, first, count, height = np.int32(-1), written, np.int32(1), np.int32(0)
+        # Where the finished subtree is a left child, its sibling is finished too: join them.
+        while top > 0 and not waiting[top - 1]:
+            top -= 1
+            u0, v0, w0 = box_of[top, 0], box_of[top, 1], box_of[top, 2]
+            u1, v1, w1 = box_of[top, 3], box_of[top, 4], box_of[top, 5]
+            child_b, first_b, count_b, height_b = rest_of[top]
+            place -= np.int32(2)
+            _write(out, place, (x0, y0, z0, x1, y1, z1), unscale, child, first, count)
+            _write(out, place + 1, (u0, v0, w0, u1, v1, w1), unscale, child_b, first_b, count_b)
+            x0, y0, z0 = min(x0, u0), min(y0, v0), min(z0, w0)
+            x1, y1, z1 = max(x1, u1), max(y1, v1), max(z1, w1)
+            area = _half_area(x0, y0, z0, x1, y1, z1)
+            cost = cost_of[top] + cost + c_inner * area
+            child, count, height = place, count + count_b, max(height, height_b) + np.int32(1)
+            size = count
+            if split and count <= _MAX_DUPLICATED:
+                size = np.int32(_distinct(ids, written, written + count, max_leaf))
+            if size <= max_leaf and c_tri * size * area <= cost:
+                cost = c_tri * size * area
+                if size < count:
+                    written = np.int32(_drop_repeats(ids, written, written + count))
+                child, first, count, height = np.int32(-1), written, size, np.int32(0)
+                place = place_of[top]
+        if top == 0:
+            break
+        # It is a right child: keep it, and turn to the left one.
+        top -= 1
+        box_of[top, 0], box_of[top, 1], box_of[top, 2] = x0, y0, z0
+        box_of[top, 3], box_of[top, 4], box_of[top, 5] = x1, y1, z1
+        cost_of[top] = cost
+        rest_of[top, 0], rest_of[top, 1] = child, first
+        rest_of[top, 2], rest_of[top, 3] = count, height
+        waiting[top] = False
+        node = left[node_of[top]]
+        top += 1
+    place -= np.int32(1)
+    _write(out, place, (x0, y0, z0, x1, y1, z1), unscale, child, first, count)
+    # Positions so far are those in the whole arrays; count them from where writing ended.
+    out_left, out_first = out[2], out[3]
+    for n in range(place, len(out_left)):
+        out_left[n] = out_left[n] - place if out_left[n] >= 0 else np.int32(-1)
+        out_first[n] -= written
+    return len(out_left) - place, len(ids) - written, height, cost, area
+
+
+@njit
+def _preorder(left, right):
+    """Nodes parents first, left subtrees before right ones, and the depth of each."""
+    order = np.empty(len(left), np.int32)
+    depth = np.empty(len(left), np.int32)
+    stack = np.empty((len(left) // 2 + 1, 2), np.int32)
+    stack[0, 0], stack[0, 1], top = 0, 0, 1
+    used = 0
     while top > 0:
         top -= 1
-        p, n = stack[top], place[top]
-        for k in range(3):
-            lower[n, k] = box[p, k]
-            upper[n, k] = box[p, k + 3]
-        out_first[n] = written
-        if leaf[p]:
-            for i in range(first[p], first[p] + count[p]):
-                t = triangle[leaf_order[i]]
-                repeated = False
-                if split:
-                    for j in range(out_first[n], written):
-                        if references[j] == t:
-                            repeated = True
-                            break
-                if not repeated:
-                    references[written] = t
-                    written += 1
-            out_count[n] = written - out_first[n]
-        else:
-            left[n] = used
-            depth[used] = depth[n] + 1
-            depth[used + 1] = depth[n] + 1
-            a = p + 1
-            stack[top], place[top] = a + 2 * count[a] - 1, used + 1
-            stack[top + 1], place[top + 1] = a, used
+        node, level = stack[top, 0], stack[top, 1]
+        order[used], depth[used] = node, level
+        used += 1
+        if left[node] >= 0:
+            stack[top, 0], stack[top, 1] = right[node], level + 1
+            stack[top + 1, 0], stack[top + 1, 1] = left[node], level + 1
             top += 2
-            used += 2
-    for n in range(total - 1, -1, -1):  # children stand behind their parents
-        if left[n] >= 0:
-            out_count[n] = out_count[left[n]] + out_count[left[n] + 1]
-    return lower, upper, left, out_first, out_count, references[:written].copy(), depth.max()
-
-
-def _rebuild_balanced(draft: Draft, arrays: tuple[Any, ...]) -> Draft:
-    """Halve the subtrees that would overrun the traversal stack, by object median.
-
-    Legal input can need it: a Morton tree over clustered points, say. What stands above
-    ``MAX_DEPTH - 24`` levels is left alone; below, no real subtree has over 2**24
-    references, so halving them fits.
-    """
-    order, leaf_order, parent, first, count = arrays
-    depth = np.zeros(len(parent), np.int32)
-    height = np.zeros(len(parent), np.int32)
-    _levels(parent, depth, height)
-    left, right, reference = draft.left.copy(), draft.right.copy(), draft.reference.copy()
-    refs = draft.references
-    centers = refs.lower + refs.upper
-    start = MAX_DEPTH - 24
-    for p in np.flatnonzero((depth == start) & (depth + height > MAX_DEPTH)):
-        slots = iter(order[p : p + 2 * count[p] - 1])  # a subtree is contiguous in preorder
-        work = [(next(slots), leaf_order[first[p] : first[p] + count[p]])]
-        while work:
-            node, ids = work.pop()
-            left[node] = right[node] = reference[node] = -1
-            if len(ids) == 1:
-                reference[node] = ids[0]
-                continue
-            axis = np.ptp(centers[ids], axis=0).argmax()
-            ids = ids[np.argsort(centers[ids, axis], kind="stable")]
-            left[node], right[node] = next(slots), next(slots)
-            work += [(left[node], ids[: len(ids) // 2]), (right[node], ids[len(ids) // 2 :])]
-    return Draft(refs, left, right, reference, draft.report)
+    return order, depth
 
 
 @njit
-def _levels(parent, depth, height):
-    for p in range(1, len(parent)):
-        depth[p] = depth[parent[p]] + 1
-    for p in range(len(parent) - 1, 0, -1):
-        height[parent[p]] = max(height[parent[p]], height[p] + 1)
+def _repair(left, right, reference, limit):
+    """Halve, in place, the subtrees at depth ``limit`` that reach below ``MAX_DEPTH``.
+
+    Their references keep the order they have in the tree, which is a spatial one.
+    """
+    order, depth = _preorder(left, right)
+    ids = np.empty((len(order) + 1) // 2, np.int32)
+    stack = np.empty((MAX_DEPTH + 2, 3), np.int32)
+    p = 0
+    while p < len(order):
+        if depth[p] != limit:
+            p += 1
+            continue
+        # The subtree is the run of nodes that are deeper than its root.
+        end, deepest, size = p + 1, limit, 0
+        while end < len(order) and depth[end] > limit:
+            deepest = max(deepest, depth[end])
+            end += 1
+        if deepest > MAX_DEPTH:
+            for q in range(p, end):
+                if left[order[q]] < 0:
+                    ids[size] = reference[order[q]]
+                    size += 1
+            used = p + 1
+            stack[0, 0], stack[0, 1], stack[0, 2], top = order[p], 0, size, 1
+            while top > 0:
+                top -= 1
+                node, a, b = stack[top, 0], stack[top, 1], stack[top, 2]
+                if b - a == 1:
+                    left[node], right[node], reference[node] = -1, -1, ids[a]
+                    continue
+                left[node], right[node], reference[node] = order[used], order[used + 1], -1
+                middle = (a + b) // 2
+                stack[top, 0], stack[top, 1], stack[top, 2] = right[node], middle, b
+                stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2] = left[node], a, middle
+                used, top = used + 2, top + 2
+        p = end
+
+
+@njit
+def _has_repeats(triangle):
+    """Whether an id (a small non-negative number) stands in the array twice."""
+    seen = np.zeros(triangle.max() + 1, np.bool_)
+    for t in triangle:
+        if seen[t]:
+            return True
+        seen[t] = True
+    return False
+
+
+def _outputs(count: int) -> tuple[F32, F32, I32, I32, I32, I32]:
+    """Room for the tree of so many references; pages that stay unused cost no memory."""
+    nodes = 2 * count - 1
+    return (
+        np.empty((nodes, 3), np.float32),
+        np.empty((nodes, 3), np.float32),
+        np.empty(nodes, np.int32),
+        np.empty(nodes, np.int32),
+        np.empty(nodes, np.int32),
+        np.empty(count, np.int32),
+    )
+
+
+def _run(
+    draft: Draft, out: tuple[Any, ...], split: bool, c_inner: float, c_tri: float, max_leaf: int
+) -> tuple[Any, ...]:
+    refs = draft.references
+    return _walk(
+        draft.left,
+        draft.right,
+        draft.reference,
+        refs.lower,
+        refs.upper,
+        refs.triangle,
+        split,
+        (c_inner, c_tri),
+        max_leaf,
+        np.float32(1.0 / refs.scale),
+        out,
+    )
 
 
 def finish(
@@ -252,34 +310,17 @@ def finish(
     Tree
         Boxes in scene units, at most :data:`~mibvh.tree.MAX_DEPTH` deep.
     """
-    refs = draft.references
-    split = meta["triangles"] < len(refs)
-    arrays = _preorder(draft.left, draft.right, draft.reference)
-    out = _finish_arrays(arrays, refs, split, c_inner, c_tri, max_leaf)
-    if out[6] > MAX_DEPTH:
-        draft = _rebuild_balanced(draft, arrays)
-        arrays = _preorder(draft.left, draft.right, draft.reference)
-        out = _finish_arrays(arrays, refs, split, c_inner, c_tri, max_leaf)
+    split = meta["triangles"] < len(draft.references)
+    out = _outputs(len(draft.references))
+    nodes, written, height, _, _ = _run(draft, out, split, c_inner, c_tri, max_leaf)
+    if height > MAX_DEPTH:
+        links = draft.left.copy(), draft.right.copy(), draft.reference.copy()
+        _repair(*links, _REPAIR_DEPTH)
+        draft = Draft(draft.references, *links, draft.report)
+        nodes, written, _, _, _ = _run(draft, out, split, c_inner, c_tri, max_leaf)
         meta = {**meta, "depth_repaired": True}
-    lower, upper, left, first, count, references, _ = out
-    unscale = np.float32(1.0 / refs.scale)
-    return Tree(lower * unscale, upper * unscale, left, first, count, references, meta)
-
-
-def _finish_arrays(
-    arrays: tuple[Any, ...],
-    refs: References,
-    split: bool,
-    c_inner: float,
-    c_tri: float,
-    max_leaf: int,
-) -> tuple[Any, ...]:
-    _, leaf_order, parent, first, count = arrays
-    box = _bounds(parent, count, first, leaf_order, refs.lower, refs.upper)
-    leaf, _ = _collapse(
-        parent, first, count, box, leaf_order, refs.triangle, split, c_inner, c_tri, max_leaf
-    )
-    return _emit(parent, first, count, box, leaf, leaf_order, refs.triangle, split)
+    lower, upper, left, first, count = (array[len(array) - nodes :] for array in out[:5])
+    return Tree(lower, upper, left, first, count, out[5][len(out[5]) - written :], meta)
 
 
 def draft_sah(draft: Draft, *, c_inner: float, c_tri: float, max_leaf: int) -> float:
@@ -287,22 +328,30 @@ def draft_sah(draft: Draft, *, c_inner: float, c_tri: float, max_leaf: int) -> f
 
     Optimisers judge their progress by this: what counts is the tree after the collapse.
     """
-    refs = draft.references
-    _, leaf_order, parent, first, count = _preorder(draft.left, draft.right, draft.reference)
-    box = _bounds(parent, count, first, leaf_order, refs.lower, refs.upper)
-    split = len(np.unique(refs.triangle)) < len(refs)
-    _, cost = _collapse(
-        parent, first, count, box, leaf_order, refs.triangle, split, c_inner, c_tri, max_leaf
-    )
-    x, y, z = (box[0, 3:].astype(np.float64) - box[0, :3]).tolist()
-    area = x * y + y * z + z * x
-    return float(cost[0] / area) if area > 0 else 0.0
+    split = bool(_has_repeats(draft.references.triangle))
+    out = _outputs(len(draft.references))
+    nodes, written, _, cost, area = _run(draft, out, split, c_inner, c_tri, max_leaf)
+    if area > 0:
+        return float(cost / area)
+    # Where the root has no area, the SAH takes every ratio of areas as 1.
+    return c_inner * (nodes // 2) + c_tri * written
+
+
+@njit
+def _node_boxes(left, right, reference, lower, upper):
+    """Box of each node, children before parents."""
+    order, _ = _preorder(left, right)
+    boxes = np.empty((len(left), 6), np.float32)
+    for p in range(len(order) - 1, -1, -1):
+        node = order[p]
+        a, b, r = left[node], right[node], reference[node]
+        for k in range(3):
+            boxes[node, k] = lower[r, k] if a < 0 else min(boxes[a, k], boxes[b, k])
+            boxes[node, k + 3] = upper[r, k] if a < 0 else max(boxes[a, k + 3], boxes[b, k + 3])
+    return boxes
 
 
 def draft_boxes(draft: Draft) -> F32:
     """(2R - 1, 6) float32: box of each node of a draft, lower corner then upper, builder units."""
     refs = draft.references
-    order, leaf_order, parent, first, count = _preorder(draft.left, draft.right, draft.reference)
-    boxes = np.empty((len(order), 6), np.float32)
-    boxes[order] = _bounds(parent, count, first, leaf_order, refs.lower, refs.upper)
-    return boxes
+    return _node_boxes(draft.left, draft.right, draft.reference, refs.lower, refs.upper)

@@ -114,6 +114,7 @@ class Builder:
 #: The paper's builders in the paper's order, and the module each one lives in.
 _BUNDLED: dict[str, str] = {
     "bbvh": "mibvh.builders.sweep",
+    "agglo": "mibvh.builders.agglomerative",
     "lbvh": "mibvh.builders.morton",
 }
 _registered: dict[str, Builder] = {}

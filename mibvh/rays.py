@@ -1,0 +1,262 @@
+"""Ray sets: diffuse rays that Mitsuba path-traces, stored so that every tree traces the same."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mibvh.errors import MibvhError
+from mibvh.files import atomic_path
+from mibvh.scene import Scene, load
+from mibvh.tree import read_npz
+from mibvh.triangles import F32, F64, I32
+from mibvh.variant import mitsuba
+
+FORMAT_VERSION = 1
+_ARRAYS = ("o", "d", "tmax", "viewpoint", "bounce")
+#: How far origins are backed off along the incoming ray, relative to the scene's diagonal.
+BACK_OFF = 1e-5
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RaySet:
+    """Rays to trace through trees.
+
+    Attributes
+    ----------
+    o, d : (R, 3) float32
+        Origins in scene units, and directions (of unit length).
+    tmax : (R,) float32
+        Farthest hit that counts; infinite for diffuse rays.
+    viewpoint : (R,) int32
+        The camera that the path began at.
+    bounce : (R,) int32
+        1 for the rays that leave what the camera sees, 2 for those that leave what they hit,
+        and so on.
+    meta : dict
+        JSON-able: scene, digest of the triangles, seed, film size, samples, order, and the
+        numbers of primary rays and hits.
+    """
+
+    o: F32
+    d: F32
+    tmax: F32
+    viewpoint: I32
+    bounce: I32
+    meta: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.tmax)
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """SHA-256 of the rays."""
+        digest = hashlib.sha256()
+        for name in _ARRAYS:
+            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        return digest.hexdigest()
+
+    def select(self, chosen: Any) -> RaySet:
+        """Keep some of the rays.
+
+        Parameters
+        ----------
+        chosen : index array, boolean mask or slice
+        """
+        return RaySet(*(getattr(self, name)[chosen] for name in _ARRAYS), self.meta)
+
+    def rotated(self, rotation: F64) -> RaySet:
+        """Turn about the origin, as :meth:`mibvh.Triangles.rotated` turns the scene."""
+        turn = rotation.T
+        return dataclasses.replace(
+            self,
+            o=(self.o.astype(np.float64) @ turn).astype(np.float32),
+            d=(self.d.astype(np.float64) @ turn).astype(np.float32),
+            meta={**self.meta, "digest": None, "rotated": True},
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write an ``.npz`` file: the arrays, the metadata, a format version and a checksum."""
+        header = {"format": FORMAT_VERSION, "checksum": self.digest, "meta": self.meta}
+        with atomic_path(path) as temporary, temporary.open("wb") as file:
+            np.savez(
+                file,
+                header=np.array(json.dumps(header, sort_keys=True)),
+                **{name: getattr(self, name) for name in _ARRAYS},
+            )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> RaySet:
+        """Read a ray set back.
+
+        Raises
+        ------
+        MibvhError
+            If the file is missing, is no ray set, is damaged, or comes from another format.
+        """
+        arrays, header = read_npz(path, "ray set", _ARRAYS, FORMAT_VERSION)
+        rays = cls(**arrays, meta=header["meta"])
+        if rays.digest != header["checksum"]:
+            raise MibvhError(f"{path}: the ray set is damaged (its checksum does not match)")
+        return rays
+
+
+def diffuse_rays(
+    scene: Any,
+    *,
+    viewpoints: int | None = None,
+    width: int = 320,
+    height: int = 240,
+    samples: int = 4,
+    bounces: int = 1,
+    seed: int = 0,
+    sort: bool = True,
+    progress: Callable[[float], None] | None = None,
+) -> RaySet:
+    """Path-trace diffuse rays with Mitsuba.
+
+    From every viewpoint, ``samples`` primary rays through random points of each pixel; from
+    each hit, on the side it was seen from, one ray in a cosine-distributed direction; from
+    what that hits the next, up to ``bounces``. Origins are backed off along the incoming
+    ray. Rays that miss end their path.
+
+    Parameters
+    ----------
+    scene : Scene, or what :func:`mibvh.load` takes
+    viewpoints : int, optional
+        How many of the scene's cameras to use; all by default.
+    width, height : int
+        Pixels per viewpoint.
+    samples : int
+        Paths per pixel.
+    bounces : int
+        Diffuse rays per path, at most.
+    seed : int
+        Of the random numbers.
+    sort : bool
+        Whether to put the rays of each bounce in Morton order of origin and direction.
+    progress : callable, optional
+        Called with the share done.
+
+    Returns
+    -------
+    RaySet
+
+    Raises
+    ------
+    MibvhError
+        If a number is out of range, or no camera sees anything.
+    """
+    scene = load(scene)
+    sensors = scene.sensors[: viewpoints or len(scene.sensors)]
+    for name, value in [("width", width), ("height", height), ("samples", samples),
+                        ("bounces", bounces), ("viewpoints", len(sensors))]:  # fmt: skip
+        if value < 1:
+            raise MibvhError(f"{name} must be at least 1, not {value}")
+    if viewpoints is not None and viewpoints > len(scene.sensors):
+        raise MibvhError(
+            f"{scene.name} has {len(scene.sensors)} viewpoints, fewer than the {viewpoints} asked for"
+        )
+    mi = mitsuba()
+    # Zero-copy views of NumPy memory would keep gathers from being vectorised.
+    corners = mi.Float(scene.triangles.corners.ravel())
+    parts: list[tuple[F32, F32, int, int]] = []
+    primary = hits = 0
+    for view, sensor in enumerate(sensors):
+        rng = mi.PCG32(size=width * height * samples, initstate=seed, initseq=view)
+        ray = _primary_rays(mi, sensor, width, height, samples, rng)
+        primary += width * height * samples
+        for bounce in range(1, bounces + 1):
+            ray, rng = _bounce(mi, scene, corners, ray, rng)
+            o, d = (np.array(v, dtype=np.float32).T for v in (ray.o, ray.d))
+            hits += len(o) if bounce == 1 else 0
+            parts.append((o, d, view, bounce))
+            if len(o) == 0:
+                break
+        if progress:
+            progress((view + 1) / len(sensors))
+    if hits == 0:
+        raise MibvhError(f"{scene.name}: no viewpoint sees any geometry, so there are no rays")
+    meta = {
+        "scene": scene.name, "digest": scene.triangles.digest, "seed": seed, "width": width,
+        "height": height, "samples": samples, "bounces": bounces, "viewpoints": len(sensors),
+        "order": "morton" if sort else "path", "primary_rays": primary, "primary_hits": hits,
+    }  # fmt: skip
+    rays = RaySet(
+        np.ascontiguousarray(np.concatenate([p[0] for p in parts])),
+        np.ascontiguousarray(np.concatenate([p[1] for p in parts])),
+        np.full(sum(len(p[0]) for p in parts), np.inf, np.float32),
+        np.concatenate([np.full(len(p[0]), p[2], np.int32) for p in parts]),
+        np.concatenate([np.full(len(p[0]), p[3], np.int32) for p in parts]),
+        meta,
+    )
+    return rays.select(_morton_order(rays, scene)) if sort else rays
+
+
+def _primary_rays(mi: Any, sensor: Any, width: int, height: int, samples: int, rng: Any) -> Any:
+    import drjit as dr
+
+    index = dr.arange(mi.UInt32, width * height * samples) // samples
+    column, row = index % width, index // width
+    place = mi.Point2f(
+        (mi.Float(column) + rng.next_float32()) / width, (mi.Float(row) + rng.next_float32()) / height
+    )
+    aperture = mi.Point2f(rng.next_float32(), rng.next_float32())
+    ray, _ = sensor.sample_ray(mi.Float(0), mi.Float(0.5), place, aperture)
+    return mi.Ray3f(ray)
+
+
+def _bounce(mi: Any, scene: Scene, corners: Any, ray: Any, rng: Any) -> tuple[Any, Any]:
+    """The diffuse rays that leave where rays hit, and the paths' random numbers."""
+    import drjit as dr
+
+    hit = scene.geometry.ray_intersect_preliminary(ray, coherent=False)
+    went_on = dr.compress(hit.is_valid())
+    t, triangle = dr.gather(mi.Float, hit.t, went_on), dr.gather(mi.UInt32, hit.prim_index, went_on)
+    o = dr.gather(mi.Point3f, ray.o, went_on)
+    d = dr.gather(mi.Vector3f, ray.d, went_on)
+    rng = dr.gather(mi.PCG32, rng, went_on)
+    a, b, c = (dr.gather(mi.Point3f, corners, triangle * 3 + i) for i in range(3))
+    normal = dr.cross(b - a, c - a)
+    normal = normal * dr.rcp(dr.maximum(dr.max(dr.abs(normal)), 1e-38))  # no underflow in the norm
+    normal = dr.normalize(normal)
+    normal = dr.select(dr.dot(normal, d) > 0, -normal, normal)
+    back = dr.select(t * 0.5 < BACK_OFF * scene.triangles.diagonal, t * 0.5,
+                     BACK_OFF * scene.triangles.diagonal)  # fmt: skip
+    sample = mi.Point2f(rng.next_float32(), rng.next_float32())
+    out = mi.Frame3f(normal).to_world(mi.warp.square_to_cosine_hemisphere(sample))
+    sound = dr.compress(dr.all(dr.isfinite(out)))  # a zero-area triangle has no normal
+    origin = mi.Point3f(o + d * (t - back))
+    ray = mi.Ray3f(
+        dr.gather(mi.Point3f, origin, sound), dr.gather(mi.Vector3f, mi.Vector3f(out), sound)
+    )
+    rng = dr.gather(mi.PCG32, rng, sound)
+    dr.eval(ray, rng)
+    return ray, rng
+
+
+def _morton_order(rays: RaySet, scene: Scene) -> np.ndarray:
+    """Order by bounce, then along a Morton curve of origin (10 bits an axis) and direction (5)."""
+    lower, upper = scene.triangles.bounds.astype(np.float64)
+    cell = (rays.o - lower) / np.maximum(upper - lower, 1e-30)
+    origin = _interleave(np.clip(cell * 1024, 0, 1023).astype(np.uint64))
+    direction = _interleave(np.clip((rays.d + 1.0) * 16, 0, 31).astype(np.uint64))
+    key = (rays.bounce.astype(np.uint64) << np.uint64(45)) | (origin << np.uint64(15)) | direction
+    return np.argsort(key, kind="stable")
+
+
+def _interleave(cells: np.ndarray) -> np.ndarray:
+    """(N,) uint64: interleave the low ten bits of three columns."""
+    x = cells
+    x = (x | (x << np.uint64(16))) & np.uint64(0x030000FF)
+    x = (x | (x << np.uint64(8))) & np.uint64(0x0300F00F)
+    x = (x | (x << np.uint64(4))) & np.uint64(0x030C30C3)
+    x = (x | (x << np.uint64(2))) & np.uint64(0x09249249)
+    return (x[:, 0] << np.uint64(2)) | (x[:, 1] << np.uint64(1)) | x[:, 2]
