@@ -213,8 +213,8 @@ def _dominant_plane(boxes, row, origin, extent):
         length = boxes[row, k + 4] - boxes[row, k]
         if not (extent[k] > 0.0 and length > 0.0):
             continue
-        a = int(math.floor((np.float64(boxes[row, k]) - origin[k]) / extent[k] * cells))
-        b = int(math.ceil((np.float64(boxes[row, k + 4]) - origin[k]) / extent[k] * cells)) - 1
+        a = math.floor((np.float64(boxes[row, k]) - origin[k]) / extent[k] * cells)
+        b = math.ceil((np.float64(boxes[row, k + 4]) - origin[k]) / extent[k] * cells) - 1
         a, b = max(a, 0), min(b, (1 << _LEVELS) - 1)
         level, plane = 0, np.float32(0)
         while a < b:
@@ -317,7 +317,7 @@ def _split_all(corners, scale, boxes, triangle, priorities, factor, origin, exte
     stack_row = np.empty(128, np.int64)
     stack_splits = np.empty(128, np.int64)
     for t in range(n):
-        splits = int(math.floor(factor * priorities[t]))
+        splits = math.floor(factor * priorities[t])
         if splits == 0:
             continue
         stack_row[0], stack_splits[0], top = t, splits, 1
@@ -341,7 +341,7 @@ def _split_all(corners, scale, boxes, triangle, priorities, factor, origin, exte
                 boxes[used, k] = halves[1, k]
             triangle[used] = t
             first, second = _longest(halves[0]), _longest(halves[1])
-            share = int(math.floor((splits - 1) * (first / (first + second)) + 0.5))
+            share = math.floor((splits - 1) * (first / (first + second)) + 0.5)
             rest = splits - 1 - share
             a, b = (row, used) if share > rest else (used, row)
             stack_row[top], stack_splits[top] = a, max(share, rest)
@@ -370,11 +370,11 @@ def presplit(triangles: Triangles, beta: float = 0.3) -> References:
     triangles : Triangles
     beta : float
         Budget: at most ``beta * N`` references are added. More lowers overlap, for a larger
-        tree; the paper's 0.3 is where it found little left to gain.
+        tree.
 
     Returns
     -------
-    References
+    refs : References
         The first N belong to triangles 0 to N - 1 in order; the others follow.
     """
     if not (math.isfinite(beta) and beta >= 0.0):
