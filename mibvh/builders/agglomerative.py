@@ -42,7 +42,7 @@ _MAX_LEVELS = 12
 #: The (references, name) of a place that holds no cluster.
 _NOBODY = np.iinfo(np.int64).max
 #: Starts between two reports of progress.
-_CHUNK = 16384
+_CHUNK = 2048
 
 
 def _offsets(clusters):

@@ -18,6 +18,14 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft
+from mibvh.builders.simd import (
+    half_area_exact,
+    load,
+    load_corners,
+    store,
+    store_corners,
+    union,
+)
 from mibvh.tree import MAX_DEPTH, Tree
 from mibvh.triangles import F32, I32
 
@@ -31,16 +39,12 @@ _REPAIR_DEPTH = MAX_DEPTH - 24
 
 
 @njit
-def _distinct(ids, first, end, limit):
-    """Count the distinct values of ``ids[first:end]``; ``limit + 1`` for "more than limit"."""
+def _distinct(ids, first, count, limit):
+    """Count the distinct values of ``ids[first : first + count]``; at most ``limit + 1``."""
     distinct = 0
-    for i in range(first, end):
-        seen = False
-        for j in range(first, i):
-            if ids[j] == ids[i]:
-                seen = True
-                break
-        if not seen:
+    run = ids[first : first + np.uint64(count)]
+    for i in range(count):
+        if run[i] not in run[:i]:
             distinct += 1
             if distinct > limit:
                 break
@@ -48,36 +52,18 @@ def _distinct(ids, first, end, limit):
 
 
 @njit
-def _drop_repeats(ids, first, end):
-    """Keep the first of equal values of ``ids[first:end]``, moved to its end; return its start."""
-    kept = end
-    for i in range(end - 1, first - 1, -1):
-        seen = False
-        for j in range(first, i):
-            if ids[j] == ids[i]:
-                seen = True
-                break
-        if not seen:
+def _drop_repeats(ids, first, count):
+    """Keep the first of equal values of ``ids[first : first + count]``; return their new start.
+
+    They are moved to the end of the run, since writing goes on in front of it.
+    """
+    run = ids[first : first + np.uint64(count)]
+    kept = count
+    for i in range(count - 1, -1, -1):
+        if run[i] not in run[:i]:
             kept -= 1
-            ids[kept] = ids[i]
-    return kept
-
-
-@njit
-def _half_area(x0, y0, z0, x1, y1, z1):
-    """Half the surface area of a box, float64."""
-    x, y, z = np.float64(x1) - x0, np.float64(y1) - y0, np.float64(z1) - z0
-    return x * y + y * z + z * x
-
-
-@njit
-def _write(out, n, box, unscale, child, first, count):
-    """Write node n. Taking its box back to scene units is exact, the factor a power of two."""
-    lower, upper, left, out_first, out_count, _ = out
-    x0, y0, z0, x1, y1, z1 = box
-    lower[n, 0], lower[n, 1], lower[n, 2] = x0 * unscale, y0 * unscale, z0 * unscale
-    upper[n, 0], upper[n, 1], upper[n, 2] = x1 * unscale, y1 * unscale, z1 * unscale
-    left[n], out_first[n], out_count[n] = child, first, count
+            run[kept] = run[i]
+    return first + np.uint64(kept)
 
 
 @njit
@@ -114,76 +100,80 @@ def _walk(left, right, reference, lower, upper, triangle, split, costs, max_leaf
     cost, area : float
         Of the root, in builder units.
     """
-    ids = out[5]
+    out_lower, out_upper, out_left, out_first, out_count, ids = out
     c_inner, c_tri = costs
     # One frame per ancestor of the current node. While its right child is being worked on
     # ("waiting"), it knows only where writing stood before; then it keeps that child.
     frames = len(ids) + 1
     node_of = np.empty(frames, np.int32)
-    place_of = np.empty(frames, np.int32)
+    place_of = np.empty(frames, np.uint64)
     waiting = np.empty(frames, np.bool_)
-    box_of = np.empty((frames, 6), np.float32)
+    box_of = np.empty((frames, 8), np.float32)
     cost_of = np.empty(frames, np.float64)
     rest_of = np.empty((frames, 4), np.int32)
-    place, written = np.int32(len(out[2])), np.int32(len(ids))
-    node, top = np.int32(0), 0
+    one, two = np.uint64(1), np.uint64(2)
+    place, written = np.uint64(len(out_left)), np.uint64(len(ids))
+    node, top = np.uint64(0), np.uint64(0)
     while True:
         while left[node] >= 0:
             node_of[top], place_of[top], waiting[top] = node, place, True
-            top += 1
-            node = right[node]
+            top += one
+            node = np.uint64(right[node])
         # A leaf: the finished subtree is one reference.
-        r = reference[node]
-        x0, y0, z0 = lower[r, 0], lower[r, 1], lower[r, 2]
-        x1, y1, z1 = upper[r, 0], upper[r, 1], upper[r, 2]
-        area = _half_area(x0, y0, z0, x1, y1, z1)
+        r = np.uint64(reference[node])
+        box = load_corners(lower, upper, r)
+        area = half_area_exact(box)
         cost = c_tri * area
-        written -= np.int32(1)
+        written -= one
         ids[written] = triangle[r]
-        child, first, count, height = np.int32(-1), written, np.int32(1), np.int32(0)
+        child, first, count, height = np.int32(-1), np.int32(written), np.int32(1), np.int32(0)
         # Where the finished subtree is a left child, its sibling is finished too: join them.
-        while top > 0 and not waiting[top - 1]:
-            top -= 1
-            u0, v0, w0 = box_of[top, 0], box_of[top, 1], box_of[top, 2]
-            u1, v1, w1 = box_of[top, 3], box_of[top, 4], box_of[top, 5]
-            child_b, first_b, count_b, height_b = rest_of[top]
-            place -= np.int32(2)
-            _write(out, place, (x0, y0, z0, x1, y1, z1), unscale, child, first, count)
-            _write(out, place + 1, (u0, v0, w0, u1, v1, w1), unscale, child_b, first_b, count_b)
-            x0, y0, z0 = min(x0, u0), min(y0, v0), min(z0, w0)
-            x1, y1, z1 = max(x1, u1), max(y1, v1), max(z1, w1)
-            area = _half_area(x0, y0, z0, x1, y1, z1)
+        while top > np.uint64(0) and not waiting[top - one]:
+            top -= one
+            other = load(box_of, top)
+            place -= two
+            store_corners(out_lower, out_upper, place, box, unscale)
+            out_left[place], out_first[place], out_count[place] = child, first, count
+            store_corners(out_lower, out_upper, place + one, other, unscale)
+            out_left[place + one], out_first[place + one] = rest_of[top, 0], rest_of[top, 1]
+            out_count[place + one] = rest_of[top, 2]
+            box = union(box, other)
+            area = half_area_exact(box)
             cost = cost_of[top] + cost + c_inner * area
-            child, count, height = place, count + count_b, max(height, height_b) + np.int32(1)
+            child, count = np.int32(place), count + rest_of[top, 2]
+            height = max(height, rest_of[top, 3]) + np.int32(1)
             size = count
             if split and count <= _MAX_DUPLICATED:
-                size = np.int32(_distinct(ids, written, written + count, max_leaf))
-            if size <= max_leaf and c_tri * size * area <= cost:
-                cost = c_tri * size * area
-                if size < count:
-                    written = np.int32(_drop_repeats(ids, written, written + count))
-                child, first, count, height = np.int32(-1), written, size, np.int32(0)
-                place = place_of[top]
-        if top == 0:
+                size = np.int32(_distinct(ids, written, count, max_leaf))
+            as_leaf = c_tri * size * area
+            leaf = size <= max_leaf and as_leaf <= cost
+            if split and leaf and size < count:
+                written = _drop_repeats(ids, written, count)
+                count = size
+            # Which way this goes is hard to foresee; selections, unlike jumps, cost the same
+            # either way.
+            cost = as_leaf if leaf else cost
+            child = np.int32(-1) if leaf else child
+            height = np.int32(0) if leaf else height
+            place = place_of[top] if leaf else place
+            first = np.int32(written)
+        if top == np.uint64(0):
             break
         # It is a right child: keep it, and turn to the left one.
-        top -= 1
-        box_of[top, 0], box_of[top, 1], box_of[top, 2] = x0, y0, z0
-        box_of[top, 3], box_of[top, 4], box_of[top, 5] = x1, y1, z1
-        cost_of[top] = cost
-        rest_of[top, 0], rest_of[top, 1] = child, first
-        rest_of[top, 2], rest_of[top, 3] = count, height
-        waiting[top] = False
-        node = left[node_of[top]]
-        top += 1
-    place -= np.int32(1)
-    _write(out, place, (x0, y0, z0, x1, y1, z1), unscale, child, first, count)
+        store(box_of, top - one, box)
+        cost_of[top - one] = cost
+        rest_of[top - one, 0], rest_of[top - one, 1] = child, first
+        rest_of[top - one, 2], rest_of[top - one, 3] = count, height
+        waiting[top - one] = False
+        node = np.uint64(left[np.uint64(node_of[top - one])])
+    place -= one
+    store_corners(out_lower, out_upper, place, box, unscale)
+    out_left[place], out_first[place], out_count[place] = child, first, count
     # Positions so far are those in the whole arrays; count them from where writing ended.
-    out_left, out_first = out[2], out[3]
-    for n in range(place, len(out_left)):
-        out_left[n] = out_left[n] - place if out_left[n] >= 0 else np.int32(-1)
-        out_first[n] -= written
-    return len(out_left) - place, len(ids) - written, height, cost, area
+    for n in range(place, np.uint64(len(out_left))):
+        out_left[n] = out_left[n] - np.int32(place) if out_left[n] >= 0 else np.int32(-1)
+        out_first[n] -= np.int32(written)
+    return len(out_left) - np.int64(place), len(ids) - np.int64(written), height, cost, area
 
 
 @njit

@@ -1,0 +1,183 @@
+"""Boxes in one vector register, for Numba kernels.
+
+A box is eight float32 lanes: lower x, y, z, a spare lane, then *minus* upper x, y, z and
+another spare lane. With the upper corner negated, the union of two boxes is one vector
+minimum. Numba's scalars get there only when LLVM happens to see it, so the few operations
+that builders need are spelt out here in LLVM's own terms; LLVM maps eight lanes to
+whatever the machine has.
+
+Rows of ``(N, 8)`` float32 arrays are taken without any check of the index.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, models, register_model
+
+_FLOAT = ir.FloatType()
+_INT = ir.IntType(32)
+_VECTOR = ir.VectorType(_FLOAT, 8)
+
+
+class _BoxType(types.Type):
+    """Numba type of a box held in a register."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Box8")
+
+
+_box = _BoxType()
+
+
+@register_model(_BoxType)
+class _BoxModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _VECTOR)
+
+
+def _constant(value: int) -> ir.Constant:
+    return ir.Constant(_INT, value)
+
+
+def _row(context: Any, build: Any, array_type: Any, array: Any, row: Any, width: int) -> Any:
+    """Pointer to the first element of a row of a contiguous array of ``width`` columns."""
+    data = context.make_array(array_type)(context, build, array).data
+    offset = build.mul(row, ir.Constant(row.type, width))
+    return build.gep(data, [offset])
+
+
+def _pick(build: Any, vector: Any, lane: int) -> Any:
+    return build.extract_element(vector, _constant(lane))
+
+
+@intrinsic
+def load(typing: Any, array: Any, row: Any) -> Any:
+    """Row of an (N, 8) float32 array."""
+
+    def generate(context, build, signature, values):
+        pointer = _row(context, build, signature.args[0], values[0], values[1], 8)
+        result = build.load(build.bitcast(pointer, _VECTOR.as_pointer()))
+        result.align = 4
+        return result
+
+    return _box(array, types.intp), generate
+
+
+@intrinsic
+def store(typing: Any, array: Any, row: Any, box: Any) -> Any:
+    """Write a row of an (N, 8) float32 array."""
+
+    def generate(context, build, signature, values):
+        pointer = _row(context, build, signature.args[0], values[0], values[1], 8)
+        build.store(values[2], build.bitcast(pointer, _VECTOR.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, box), generate
+
+
+@intrinsic
+def load_corners(typing: Any, lower: Any, upper: Any, row: Any) -> Any:
+    """Box from rows of (N, 3) float32 arrays; the spare lanes are 0."""
+
+    def generate(context, build, signature, values):
+        result = ir.Constant(_VECTOR, [0.0] * 8)
+        for side in (0, 1):
+            pointer = _row(context, build, signature.args[side], values[side], values[2], 3)
+            for k in range(3):
+                value = build.load(build.gep(pointer, [_constant(k)]))
+                value = build.fneg(value) if side else value
+                result = build.insert_element(result, value, _constant(4 * side + k))
+        return result
+
+    return _box(lower, upper, types.intp), generate
+
+
+@intrinsic
+def store_corners(typing: Any, lower: Any, upper: Any, row: Any, box: Any, factor: Any) -> Any:
+    """Write a box, times ``factor``, to rows of (N, 3) float32 arrays."""
+
+    def generate(context, build, signature, values):
+        signs = ir.Constant(_VECTOR, [1.0] * 4 + [-1.0] * 4)
+        factors = ir.Constant(_VECTOR, ir.Undefined)
+        for lane in range(8):
+            factors = build.insert_element(factors, values[4], _constant(lane))
+        scaled = build.fmul(build.fmul(factors, signs), values[3])
+        for side in (0, 1):
+            pointer = _row(context, build, signature.args[side], values[side], values[2], 3)
+            for k in range(3):
+                build.store(_pick(build, scaled, 4 * side + k), build.gep(pointer, [_constant(k)]))
+        return context.get_dummy_value()
+
+    return types.void(lower, upper, types.intp, box, types.float32), generate
+
+
+@intrinsic
+def nothing(typing: Any) -> Any:
+    """Return the box that adds nothing to a union."""
+
+    def generate(context, build, signature, values):
+        return ir.Constant(_VECTOR, [float("inf")] * 8)
+
+    return _box(), generate
+
+
+@intrinsic
+def union(typing: Any, a: Any, b: Any) -> Any:
+    """Return the smallest box around two."""
+
+    def generate(context, build, signature, values):
+        return build.select(build.fcmp_ordered("<", *values), *values)
+
+    return _box(a, b), generate
+
+
+@intrinsic
+def half_area(typing: Any, box: Any) -> Any:
+    """Half the surface area: float32 ``dx * dy + (dx + dy) * dz``."""
+
+    def generate(context, build, signature, values):
+        low = build.shuffle_vector(values[0], values[0], ir.Constant(ir.VectorType(_INT, 4), [0, 1, 2, 3]))
+        high = build.shuffle_vector(values[0], values[0], ir.Constant(ir.VectorType(_INT, 4), [4, 5, 6, 7]))
+        # Minus the extents; the signs cancel in the products.
+        extent = build.fadd(low, high)
+        x, y, z = (_pick(build, extent, k) for k in range(3))
+        return build.fadd(build.fmul(x, y), build.fmul(build.fadd(x, y), z))
+
+    return types.float32(box), generate
+
+
+@intrinsic
+def half_area_exact(typing: Any, box: Any) -> Any:
+    """Half the surface area in float64."""
+
+    def generate(context, build, signature, values):
+        double = ir.DoubleType()
+        low, high = (
+            build.fpext(
+                build.shuffle_vector(
+                    values[0],
+                    values[0],
+                    ir.Constant(ir.VectorType(_INT, 4), [base, base + 1, base + 2, base + 2]),
+                ),
+                ir.VectorType(double, 4),
+            )
+            for base in (0, 4)
+        )
+        extent = build.fadd(low, high)
+        x, y, z = (_pick(build, extent, k) for k in range(3))
+        return build.fadd(build.fadd(build.fmul(x, y), build.fmul(y, z)), build.fmul(z, x))
+
+    return types.float64(box), generate
+
+
+@intrinsic
+def lane(typing: Any, box: Any, index: Any) -> Any:
+    """One lane of a box, by constant or computed index."""
+
+    def generate(context, build, signature, values):
+        return build.extract_element(values[0], values[1])
+
+    return types.float32(box, types.int32), generate

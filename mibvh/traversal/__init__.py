@@ -1,0 +1,1 @@
+"""Traversal: the one Dr.Jit kernel, and the records it reads."""

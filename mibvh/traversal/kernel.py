@@ -1,0 +1,155 @@
+"""The traversal kernel: one Dr.Jit source for LLVM and CUDA.
+
+Each lane carries one ray. A step of the loop does for every lane what that lane needs next:
+test the two children of an inner node, or one triangle of a leaf. The nearer child is gone to,
+the farther one pushed; a popped node is taken as it is (the kernel of Aila, Laine and Karras
+2012, as in the paper), or, with ``cull``, only if it still begins before the current hit.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from mibvh.traversal.records import DONE, NODE_ROW, TRIANGLE_ROW, Records
+from mibvh.tree import MAX_DEPTH
+from mibvh.variant import mitsuba
+
+#: Directions nearer to zero than this are moved to it, so that no slab distance is 0 * inf.
+_TINY = 2.0**-80
+
+
+@dr.syntax
+def walk(
+    records: Records, o: Any, d: Any, tmax: Any, active: Any, *, cull: bool, count: bool, any_hit: bool
+) -> tuple[Any, ...]:
+    """Trace rays through a tree.
+
+    Parameters
+    ----------
+    records : Records
+    o : Point3f
+        Origins in the records' units.
+    d : Vector3f
+    tmax : Float
+        In the records' units.
+    active : Bool
+        Lanes that carry a ray.
+    cull : bool
+        Re-test popped nodes against the current hit.
+    count : bool
+        Count visits; the timed kernel carries no counters.
+    any_hit : bool
+        End at the first hit found.
+
+    Returns
+    -------
+    t : Float
+        Distance of the closest hit in the records' units; infinite for a miss.
+    triangle : UInt32
+        Its id; 2**32 - 1 for a miss.
+    inner, leaves, tests, steps : UInt32
+        Inner nodes and leaves visited, triangles tested, loop steps taken by the lane; zero
+        unless counted.
+    """
+    mi = mitsuba()
+    n = dr.width(o)
+    sx = dr.select(dr.abs(d.x) < _TINY, dr.copysign(mi.Float(_TINY), d.x), d.x)
+    sy = dr.select(dr.abs(d.y) < _TINY, dr.copysign(mi.Float(_TINY), d.y), d.y)
+    sz = dr.select(dr.abs(d.z) < _TINY, dr.copysign(mi.Float(_TINY), d.z), d.z)
+    ix, iy, iz = 1 / sx, 1 / sy, 1 / sz
+
+    stack = dr.alloc_local(mi.Int32, MAX_DEPTH)
+    if dr.hint(cull, mode="scalar"):
+        stack_t = dr.alloc_local(mi.Float, MAX_DEPTH)
+    top = dr.full(mi.UInt32, 0, n)
+    t = dr.select(active, tmax, 0)
+    triangle = dr.full(mi.UInt32, 0xFFFFFFFF, n)
+    node = dr.select(active, mi.Int32(records.root), mi.Int32(DONE))
+    inner = dr.full(mi.UInt32, 0, n)
+    leaves = dr.full(mi.UInt32, 0, n)
+    tests = dr.full(mi.UInt32, 0, n)
+    steps = dr.full(mi.UInt32, 0, n)
+    fresh = dr.full(mi.Bool, True, n)
+
+    while node != DONE:
+        pop = mi.Bool(False)
+        if dr.hint(count, mode="scalar"):
+            steps += 1
+        if node >= 0:
+            row = dr.gather(mi.ArrayXf, records.nodes, mi.UInt32(node), shape=(NODE_ROW, n))
+            # -- slabs of the left and of the right child
+            ax, bx = (row[0] - o.x) * ix, (row[3] - o.x) * ix
+            ay, by = (row[1] - o.y) * iy, (row[4] - o.y) * iy
+            az, bz = (row[2] - o.z) * iz, (row[5] - o.z) * iz
+            near_l = _max(_max(_min(ax, bx), _min(ay, by)), _max(_min(az, bz), 0.0))
+            far_l = _min(_min(_max(ax, bx), _max(ay, by)), _min(_max(az, bz), t))
+            ax, bx = (row[6] - o.x) * ix, (row[9] - o.x) * ix
+            ay, by = (row[7] - o.y) * iy, (row[10] - o.y) * iy
+            az, bz = (row[8] - o.z) * iz, (row[11] - o.z) * iz
+            near_r = _max(_max(_min(ax, bx), _min(ay, by)), _max(_min(az, bz), 0.0))
+            far_r = _min(_min(_max(ax, bx), _max(ay, by)), _min(_max(az, bz), t))
+            hit_l = near_l <= far_l
+            hit_r = near_r <= far_r
+            left = dr.reinterpret_array(mi.Int32, row[12])
+            right = dr.reinterpret_array(mi.Int32, row[13])
+            # -- go to the nearer, push the farther
+            swap = hit_r & (~hit_l | (near_r < near_l))
+            if hit_l & hit_r:
+                stack[top] = dr.select(swap, left, right)
+                if dr.hint(cull, mode="scalar"):
+                    stack_t[top] = dr.select(swap, near_l, near_r)
+                top += 1
+            node = dr.select(swap, right, left)
+            pop = ~(hit_l | hit_r)
+            if dr.hint(count, mode="scalar"):
+                inner += 1
+                fresh = mi.Bool(True)
+        else:
+            tri = dr.gather(mi.ArrayXf, records.triangles, mi.UInt32(~node), shape=(TRIANGLE_ROW, n))
+            # -- Moeller-Trumbore
+            e1 = mi.Vector3f(tri[3], tri[4], tri[5])
+            e2 = mi.Vector3f(tri[6], tri[7], tri[8])
+            p = dr.cross(d, e2)
+            inverse = dr.rcp(dr.dot(e1, p))
+            s = o - mi.Point3f(tri[0], tri[1], tri[2])
+            u = dr.dot(s, p) * inverse
+            q = dr.cross(s, e1)
+            v = dr.dot(d, q) * inverse
+            at = dr.dot(e2, q) * inverse
+            hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (at >= 0) & (at < t)
+            t = dr.select(hit, at, t)
+            triangle = dr.select(hit, dr.reinterpret_array(mi.UInt32, tri[9]), triangle)
+            pop = dr.reinterpret_array(mi.UInt32, tri[10]) != 0
+            if dr.hint(count, mode="scalar"):
+                tests += 1
+                leaves += dr.select(fresh, mi.UInt32(1), mi.UInt32(0))
+                fresh = mi.Bool(pop)
+            node -= 1
+            if dr.hint(any_hit, mode="scalar"):
+                if hit:
+                    top = mi.UInt32(0)
+                    pop = mi.Bool(True)
+        if pop:
+            node = mi.Int32(DONE)
+            if dr.hint(cull, mode="scalar"):
+                while (top > 0) & (node == DONE):
+                    top -= 1
+                    node = dr.select(stack_t[top] <= t, stack[top], mi.Int32(DONE))
+            else:
+                if top > 0:
+                    top -= 1
+                    node = stack[top]
+    t = dr.select(triangle == 0xFFFFFFFF, dr.inf, t)
+    return t, triangle, inner, leaves, tests, steps
+
+
+def _min(a: Any, b: Any) -> Any:
+    """Minimum by comparison: ``dr.minimum`` propagates NaN, which LLVM 15 cannot select on
+    AVX-512 machines and others do slowly."""
+    return dr.select(a < b, a, b)
+
+
+def _max(a: Any, b: Any) -> Any:
+    return dr.select(a > b, a, b)

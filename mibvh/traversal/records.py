@@ -1,0 +1,141 @@
+"""The records that the kernel reads: a tree and its triangles as rows of floats.
+
+One row of 16 floats per inner node holds both children, so that a node visit is one cache
+line; one row of 12 floats per reference holds its triangle, in leaf order. Coordinates are
+scaled by a power of two to an extent near 1: products neither overflow nor underflow in
+float32, and scaling back is exact.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mibvh._jit import njit
+from mibvh.errors import MibvhError
+from mibvh.tree import MAX_DEPTH, Tree
+from mibvh.triangles import F32, Triangles, as_triangles
+from mibvh.variant import mitsuba
+
+#: Floats per inner node: left lower, left upper, right lower, right upper, two child codes,
+#: two spare. A child code is the row of an inner node, or, complemented, that of the first
+#: triangle of a leaf.
+NODE_ROW = 16
+#: Floats per reference: corner, edge to the second and to the third corner, triangle id,
+#: 1 for the last of its leaf, spare.
+TRIANGLE_ROW = 12
+#: The code of "nothing left to do".
+DONE = -(2**31)
+
+
+class Records:
+    """A tree in Dr.Jit's own memory.
+
+    A plain class: Dr.Jit would take the fields of a dataclass for variables of its loop.
+
+    Attributes
+    ----------
+    nodes, triangles : Float
+        Rows of :data:`NODE_ROW` and :data:`TRIANGLE_ROW` floats.
+    root : int
+        Code of the root.
+    scale : float
+        From scene units to the records' units; a power of two.
+    """
+
+    __slots__ = ("nodes", "root", "scale", "triangles")
+
+    def __init__(self, nodes: Any, triangles: Any, root: int, scale: float) -> None:
+        self.nodes = nodes
+        self.triangles = triangles
+        self.root = root
+        self.scale = scale
+
+
+@njit
+def _node_rows(lower, upper, left, first):
+    """Rows of the inner nodes, in the order of the tree's nodes, and each node's code."""
+    nodes = len(left)
+    code = np.empty(nodes, np.int32)
+    inner = 0
+    for n in range(nodes):
+        if left[n] >= 0:
+            code[n] = inner
+            inner += 1
+        else:
+            code[n] = ~first[n]
+    rows = np.zeros((max(inner, 1), 16), np.float32)
+    bits = rows.view(np.int32)
+    row = 0
+    for n in range(nodes):
+        if left[n] >= 0:
+            for c in range(2):
+                child = left[n] + c
+                for k in range(3):
+                    rows[row, 6 * c + k] = lower[child, k]
+                    rows[row, 6 * c + 3 + k] = upper[child, k]
+                bits[row, 12 + c] = code[child]
+            row += 1
+    return rows, code[0]
+
+
+@njit
+def _triangle_rows(corners, references, last):
+    rows = np.zeros((len(references), 12), np.float32)
+    bits = rows.view(np.int32)
+    for i in range(len(references)):
+        t = references[i]
+        for k in range(3):
+            rows[i, k] = corners[t, 0, k]
+            rows[i, 3 + k] = corners[t, 1, k] - corners[t, 0, k]
+            rows[i, 6 + k] = corners[t, 2, k] - corners[t, 0, k]
+        bits[i, 9] = t
+        bits[i, 10] = last[i]
+    return rows
+
+
+def make_records(tree: Tree, triangles: Any) -> Records:
+    """Prepare a tree for tracing.
+
+    Parameters
+    ----------
+    tree : Tree
+    triangles : Triangles or (N, 3, 3) array
+        What the tree was built for.
+
+    Raises
+    ------
+    MibvhError
+        If the tree was built for another geometry, or is too deep for the stack.
+    """
+    triangles = as_triangles(triangles)
+    tree.check_matches(triangles)
+    if tree.depth > MAX_DEPTH:
+        raise MibvhError(f"the tree is {tree.depth} levels deep; the traversal stack has {MAX_DEPTH}")
+    scale = unit_scale(triangles)
+    lower, upper = tree.lower * scale, tree.upper * scale
+    nodes, root = _node_rows(lower, upper, tree.left, tree.first)
+    last = np.zeros(len(tree.references), np.int32)
+    leaves = tree.is_leaf
+    last[tree.first[leaves] + tree.count[leaves] - 1] = 1
+    rows = _triangle_rows(triangles.corners * scale, tree.references, last)
+    return Records(own_memory(nodes), own_memory(rows), int(root), float(scale))
+
+
+def unit_scale(triangles: Triangles) -> np.float32:
+    """Power of two that brings the largest coordinate to between 1/2 and 1."""
+    largest = float(np.abs(triangles.bounds).max())
+    return np.float32(2.0 ** -np.frexp(largest)[1] if largest > 0 else 1.0)
+
+
+def own_memory(array: F32) -> Any:
+    """Copy into Dr.Jit's own memory: of NumPy's it does not know the alignment, and gathers from
+    it element by element."""
+    import drjit as dr
+
+    mi = mitsuba()
+    bits = mi.UInt32(np.ascontiguousarray(array).view(np.uint32).ravel())
+    copy = dr.reinterpret_array(mi.Float, bits + dr.opaque(mi.UInt32, 0))
+    dr.eval(copy)
+    return copy

@@ -1,0 +1,253 @@
+"""Tracing ray sets: hits, exact counters, and kernel time."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import os
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from mibvh.errors import MibvhError
+from mibvh.files import atomic_path
+from mibvh.rays import RaySet
+from mibvh.traversal.records import Records, make_records
+from mibvh.tree import Tree
+from mibvh.triangles import F32, I32, as_triangles
+from mibvh.variant import lane_width, mitsuba
+
+Lanes = Literal["simd", "scalar"]
+U32 = npt.NDArray[np.uint32]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Hits:
+    """What tracing a ray set through a tree gave.
+
+    Attributes
+    ----------
+    t : (R,) float32
+        Distances in units of the direction's length; infinite for a miss.
+    triangle : (R,) int32
+        Ids of the triangles hit; -1 for a miss.
+    inner, leaves, tests : (R,) uint32
+        Inner nodes visited (both child boxes tested), leaves visited, triangles tested.
+    steps : (R,) uint32
+        Loop steps the ray's lane was busy for.
+    seconds : (K,) float64
+        Kernel execution times of the timed launches, which carry no counters.
+    lanes : str
+        ``simd``: every lane of a packet carries a ray; ``scalar``: one does.
+    lane_width : int
+        Lanes of a packet.
+    """
+
+    t: F32
+    triangle: I32
+    inner: U32
+    leaves: U32
+    tests: U32
+    steps: U32
+    seconds: npt.NDArray[np.float64]
+    lanes: str
+    lane_width: int
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def lcv(self) -> float:
+        """Leaf count variability: standard deviation over the rays of the leaves visited."""
+        return float(np.std(self.leaves, dtype=np.float64))
+
+    @property
+    def ns_per_ray(self) -> float:
+        """Median kernel time per ray in nanoseconds."""
+        return float(np.median(self.seconds)) / len(self) * 1e9
+
+    @property
+    def lane_utilisation(self) -> float:
+        """Share of the issued lane-steps in which the lane had work."""
+        if self.lanes == "scalar":
+            return 1.0 / self.lane_width
+        padded = np.zeros(-(-len(self) // self.lane_width) * self.lane_width, np.uint32)
+        padded[: len(self)] = self.steps
+        packets = padded.reshape(-1, self.lane_width)
+        issued = packets.max(axis=1).sum(dtype=np.int64) * self.lane_width
+        return float(packets.sum(dtype=np.int64) / issued) if issued else 1.0
+
+    def counted_cost(self, c_inner: float = 1.2, c_tri: float = 1.0) -> float:
+        """Mean over the rays of ``c_inner * inner + c_tri * tests``: cost without a stopwatch."""
+        return float(c_inner * self.inner.mean() + c_tri * self.tests.mean())
+
+    def summary(self) -> dict[str, Any]:
+        """Return the figures as JSON-able values."""
+        spread = np.percentile(self.seconds, [25, 75]) / len(self) * 1e9
+        return {
+            "rays": len(self),
+            "hits": int((self.triangle >= 0).sum()),
+            "lanes": self.lanes,
+            "lane_width": self.lane_width,
+            "ns_per_ray": self.ns_per_ray,
+            "ns_per_ray_quartiles": spread.tolist(),
+            "launches": len(self.seconds),
+            "mrays_per_second": 1e3 / self.ns_per_ray,
+            "inner_per_ray": float(self.inner.mean()),
+            "leaves_per_ray": float(self.leaves.mean()),
+            "triangles_per_ray": float(self.tests.mean()),
+            "counted_cost": self.counted_cost(),
+            "lcv": self.lcv,
+            "inner_deviation": float(np.std(self.inner, dtype=np.float64)),
+            "steps_deviation": float(np.std(self.steps, dtype=np.float64)),
+            "lane_utilisation": self.lane_utilisation,
+        }
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write ``t``, ``triangle`` and the counters to an ``.npz`` file."""
+        names = ("t", "triangle", "inner", "leaves", "tests", "steps", "seconds")
+        with atomic_path(path) as temporary, temporary.open("wb") as file:
+            np.savez(file, **{name: getattr(self, name) for name in names})
+
+
+class Tracer:
+    """A ray set in Dr.Jit's memory, ready to be traced through any tree of one scene.
+
+    Parameters
+    ----------
+    rays : RaySet
+    scale : float
+        From scene units to those of the records (:attr:`Records.scale`).
+    lanes : "simd" or "scalar"
+        Scalar is the paper's way: a launch as wide as the rays times the packet, in which all
+        but one lane of each packet have exited.
+    cull : bool
+        Re-test popped nodes against the current hit. Off, as in the paper, by default.
+    any_hit : bool
+        End each ray at the first hit found.
+    """
+
+    def __init__(
+        self,
+        rays: RaySet,
+        scale: float,
+        lanes: Lanes = "simd",
+        *,
+        cull: bool = False,
+        any_hit: bool = False,
+    ) -> None:
+        import drjit as dr
+
+        if lanes not in ("simd", "scalar"):
+            raise MibvhError(f"lanes must be simd or scalar, not {lanes!r}")
+        if len(rays) == 0:
+            raise MibvhError("there are no rays to trace")
+        mi = mitsuba()
+        self.lanes, self.cull, self.any_hit, self.count = lanes, cull, any_hit, len(rays)
+        self.width = lane_width()
+        # Rays that are no numbers hit nothing, and must not upset their neighbours.
+        sound = np.isfinite(rays.o).all(1) & np.isfinite(rays.d).all(1) & ~np.isnan(rays.tmax)
+        o = np.where(sound[:, None], rays.o * np.float32(scale), 0)
+        d = np.where(sound[:, None], rays.d, 0)
+        spread = self.width if lanes == "scalar" else 1
+        self._active = mi.Bool(np.repeat(sound & (rays.d != 0).any(1), spread))
+        if spread > 1:
+            self._active &= dr.arange(mi.UInt32, self.count * spread) % spread == 0
+        self._o = mi.Point3f(np.repeat(o, spread, axis=0).T)
+        self._d = mi.Vector3f(np.repeat(d, spread, axis=0).T)
+        self._tmax = mi.Float(np.repeat(rays.tmax * np.float32(scale), spread))
+        dr.eval(self._o, self._d, self._tmax, self._active)
+
+    def run(self, records: Records, *, count: bool = False) -> tuple[tuple[Any, ...], float]:
+        """Trace once.
+
+        Returns
+        -------
+        outputs : tuple
+            What :func:`mibvh.traversal.kernel.walk` returns, evaluated.
+        seconds : float
+            Kernel execution time, without tracing and compilation.
+        """
+        import drjit as dr
+
+        from mibvh.traversal.kernel import walk
+
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            outputs = walk(
+                records, self._o, self._d, self._tmax, self._active,
+                cull=self.cull, count=count, any_hit=self.any_hit,
+            )  # fmt: skip
+            dr.eval(outputs if count else outputs[:2])
+            dr.sync_thread()
+            history = dr.kernel_history([dr.KernelType.JIT])
+        return outputs, sum(kernel["execution_time"] for kernel in history) / 1e3
+
+    def fetch(self, column: Any) -> npt.NDArray[Any]:
+        """One output as a NumPy array with a row per ray."""
+        values = np.array(column)
+        return values[:: self.width].copy() if self.lanes == "scalar" else values
+
+
+@functools.lru_cache(maxsize=2)
+def _cached_records(tree: Tree, triangles: Any, variant: str) -> Records:
+    return make_records(tree, triangles)
+
+
+def trace(
+    tree: Tree,
+    triangles: Any,
+    rays: RaySet,
+    lanes: Lanes = "simd",
+    *,
+    cull: bool = False,
+    any_hit: bool = False,
+    repeats: int = 5,
+) -> Hits:
+    """Trace a ray set through a tree: hits, exact counters and kernel times.
+
+    Parameters
+    ----------
+    tree : Tree
+    triangles : Triangles, Scene or (N, 3, 3) array
+        What the tree was built for.
+    rays : RaySet
+    lanes : "simd" or "scalar"
+        Whether all lanes of a packet carry rays, or one does (the paper's scalar figures).
+    cull : bool
+        Re-test popped nodes against the current hit. The paper's kernel does not.
+    any_hit : bool
+        End each ray at the first hit found instead of the closest.
+    repeats : int
+        Timed launches, after one that is not counted.
+
+    Returns
+    -------
+    Hits
+
+    Raises
+    ------
+    MibvhError
+        If the tree or the rays belong to another geometry, or an argument is out of range.
+    """
+    triangles = as_triangles(triangles)
+    if repeats < 1:
+        raise MibvhError(f"repeats must be at least 1, not {repeats}")
+    belongs = rays.meta.get("digest")
+    if belongs not in (None, triangles.digest):
+        raise MibvhError(
+            f"the rays (of {rays.meta.get('scene', 'another scene')}) were made for another "
+            f"geometry than {triangles.name}"
+        )
+    records = _cached_records(tree, triangles, mitsuba().variant())
+    tracer = Tracer(rays, records.scale, lanes, cull=cull, any_hit=any_hit)
+    outputs, _ = tracer.run(records, count=True)
+    tracer.run(records)  # the first launch may compile
+    seconds = np.array([tracer.run(records)[1] for _ in range(repeats)])
+    t, triangle, inner, leaves, tests, steps = (tracer.fetch(column) for column in outputs)
+    return Hits(
+        (t / np.float32(records.scale)).astype(np.float32),
+        triangle.view(np.int32),
+        inner, leaves, tests, steps, seconds, lanes, tracer.width,
+    )  # fmt: skip
