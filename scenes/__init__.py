@@ -74,9 +74,7 @@ def generate(name: str, triangles: int | None = None, seed: int | None = None) -
     return build_to_size(recipe, _size(recipe, triangles), 0 if seed is None else seed).result()
 
 
-def write(
-    name: str, folder: Path, triangles: int | None = None, seed: int | None = None
-) -> Path:
+def write(name: str, folder: Path, triangles: int | None = None, seed: int | None = None) -> Path:
     """Write a bundled scene as a folder that Mitsuba can load.
 
     The folder gets ``scene.xml``, ``meshes/PART.ply`` and ``scene.json``. Files are written under

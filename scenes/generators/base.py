@@ -87,13 +87,13 @@ class Recipe:
 
 
 def cells(base: float, scale: float, least: int = 1) -> int:
-    """`base * scale` as a whole number of cells, never below `least`."""
-    return max(least, int(round(base * scale)))
+    """Round `base * scale` to a whole number of cells, never below `least`."""
+    return max(least, round(base * scale))
 
 
 def even_cells(base: float, scale: float, least: int = 2) -> int:
     """Like `cells`, but even."""
-    return max(least, 2 * int(round(base * scale / 2)))
+    return max(least, 2 * round(base * scale / 2))
 
 
 def build_to_size(recipe: Recipe, triangles: int, seed: int) -> Parts:

@@ -14,7 +14,7 @@ def _turned_box(half: tuple[float, float, float], angle: float, x: float, z: flo
 
 
 def _blob(n: int, rng: np.random.Generator) -> Mesh:
-    """A sphere with a few dozen smooth bumps."""
+    """Make a sphere with a few dozen smooth bumps."""
     phase = rng.uniform(0, 2 * np.pi, 3)
     v, f = cube_sphere(n)
     bump = (

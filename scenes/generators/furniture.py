@@ -22,9 +22,12 @@ from .primitives import (
 
 
 def wall_with_openings(
-    length: float, height: float, thickness: float, openings: list[tuple[float, float, float, float]]
+    length: float,
+    height: float,
+    thickness: float,
+    openings: list[tuple[float, float, float, float]],
 ) -> Mesh:
-    """A wall along +x with rectangular holes ``(x0, x1, z0, z1)`` that do not overlap in x."""
+    """Make a wall along +x with rectangular holes ``(x0, x1, z0, z1)`` that do not overlap in x."""
     lo, hi = [], []
     x = 0.0
     for x0, x1, z0, z1 in sorted(openings):
@@ -54,9 +57,7 @@ def window_frame(
     return beams(np.concatenate(start), np.concatenate(end), bar, bar)
 
 
-def planks(
-    size: tuple[float, float], rows: int, per_row: int, rng: np.random.Generator
-) -> Mesh:
+def planks(size: tuple[float, float], rows: int, per_row: int, rng: np.random.Generator) -> Mesh:
     """Floor boards along y with top at about z = 0, staggered, with gaps of 2 mm."""
     width = size[0] / rows
     x = np.repeat(np.arange(rows) * width, per_row)
@@ -69,14 +70,14 @@ def planks(
 
 
 def lathe(points: list[tuple[float, float]], rows: int, sides: int) -> Mesh:
-    """Turned object from a few (radius, z) points, smoothed."""
+    """Make a turned object from a few (radius, z) points, smoothed."""
     profile = smooth_profile(np.array(points), rows)
     profile[:, 0] = np.maximum(profile[:, 0], 0.0)
     return revolve(profile, sides)
 
 
 def chair(s: float, slats: int = 4) -> Mesh:
-    """A wooden chair that looks towards +y; seat 0.44 m square at 0.46 m."""
+    """Make a wooden chair that looks towards +y; seat 0.44 m square at 0.46 m."""
     sides, seg = cells(9, s, 4), cells(5, s, 1)
     t = np.linspace(0, 1, seg + 1)[:, None]
     foot = np.array([[-0.19, -0.19], [0.19, -0.19], [-0.19, 0.19], [0.19, 0.19]])
@@ -126,7 +127,7 @@ def table(length: float, width: float, height: float, s: float) -> Mesh:
 
 
 def cushion(half: tuple[float, float, float], n: int, puff: float = 0.25) -> Mesh:
-    """A rounded block whose faces bulge in the middle."""
+    """Make a rounded block whose faces bulge in the middle."""
     v, f = rounded_box(half, 0.9 * min(half), n)
     h = np.asarray(half)
     q = np.clip(v / h, -1, 1)
@@ -139,7 +140,7 @@ def cushion(half: tuple[float, float, float], n: int, puff: float = 0.25) -> Mes
 
 
 def sofa(length: float, s: float, seats: int = 3) -> tuple[Mesh, Mesh]:
-    """A sofa that looks towards +x with its back at x = 0, centred on y = 0: body, cushions."""
+    """Make the body and cushions of a sofa that looks towards +x, its back at x = 0."""
     n = even_cells(12, s)
     body = [
         transform(rounded_box([0.42, length / 2, 0.1], 0.04, n), None, [0.45, 0, 0.2]),
@@ -150,7 +151,7 @@ def sofa(length: float, s: float, seats: int = 3) -> tuple[Mesh, Mesh]:
         body.append(transform(arm, None, [0.45, side * (length / 2), 0.37]))
     feet = np.array([[x, side * (length / 2 - 0.1)] for x in (0.12, 0.78) for side in (-1, 1)])
     foot = np.concatenate([feet, np.zeros((4, 1))], axis=1)
-    body.append(boxes(foot - [0.03, 0.03, 0], foot + [0.03, 0.03, 0.12]))
+    body.append(boxes(foot - np.array([0.03, 0.03, 0]), foot + np.array([0.03, 0.03, 0.12])))
     width = (length - 0.24) / seats
     y = (np.arange(seats) - (seats - 1) / 2) * width
     seat = cushion((0.33, width / 2 - 0.01, 0.08), n)
@@ -226,9 +227,7 @@ def leaves(
     droop = 0.5 * u - 0.9 * u**2
     pts = np.empty((n + 1, 3, 3))
     for j, side in enumerate((-1.0, 0.0, 1.0)):
-        pts[:, j] = np.stack(
-            [length * u, side * w, length * droop + 0.4 * abs(side) * w], axis=1
-        )
+        pts[:, j] = np.stack([length * u, side * w, length * droop + 0.4 * abs(side) * w], axis=1)
     v, f = surface(pts)
     c, s = np.cos(heading), np.sin(heading)
     size = rng.uniform(0.6, 1.1, len(root))

@@ -53,7 +53,10 @@ def _shell(p: Parts, s: float, rng: np.random.Generator) -> None:
     # A door in the wall y = 0: frame, leaf with panels, handle.
     p.add("frames", transform(window_frame(0.5, 1.4, 0, 2.05, 0.08, 1, 1), None, [0, 0.02, 0]))
     p.add("wood", boxes([0.54, 0.005, 0.0], [1.36, 0.03, 2.02]))
-    p.add("wood", boxes([[0.62, 0.03, 0.2], [0.62, 0.03, 1.1]], [[1.28, 0.04, 0.95], [1.28, 0.04, 1.9]]))
+    p.add(
+        "wood",
+        boxes([[0.62, 0.03, 0.2], [0.62, 0.03, 1.1]], [[1.28, 0.04, 0.95], [1.28, 0.04, 1.9]]),
+    )
     p.add("metal", transform(sphere(0.035, cells(12, s, 5)), None, [1.3, 0.07, 1.02]))
     n = cells(64, s, 10)
     for x in (1.05, 4.3):
@@ -68,8 +71,8 @@ def _seating(p: Parts, s: float, detail: float, rng: np.random.Generator) -> Non
     p.add("sofa", transform(body, None, [0.1, 2.3, 0]))
     p.add("cushions", transform(soft, None, [0.1, 2.3, 0]))
     pillow = cushion((0.2, 0.07, 0.2), even_cells(12, s), 0.6)
-    for y, a in ((1.5, 1.9), (3.05, 1.2)):
-        p.add("pillows", transform(pillow, rot_z(a), [0.5, y, 0.7]))
+    for y, turn in ((1.5, 1.9), (3.05, 1.2)):
+        p.add("pillows", transform(pillow, rot_z(turn), [0.5, y, 0.7]))
     p.add("wood", transform(table(1.1, 0.6, 0.42, s), rot_z(np.pi / 2), [1.95, 2.3, 0]))
     # The rug: a mat with upright threads.
     p.add("rug", boxes([1.05, 1.1, 0.0], [2.95, 3.5, 0.008]))
@@ -82,7 +85,11 @@ def _seating(p: Parts, s: float, detail: float, rng: np.random.Generator) -> Non
     # Round table with four chairs.
     profile = [(0.0, 0.0), (0.28, 0.0), (0.25, 0.03), (0.05, 0.08), (0.05, 0.6), (0.1, 0.71)]
     p.add("wood", transform(lathe(profile, cells(20, s, 6), cells(28, s, 6)), None, [4.3, 1.5, 0]))
-    top = lathe([(0, 0.71), (0.55, 0.71), (0.58, 0.725), (0.55, 0.74), (0, 0.74)], cells(8, s, 4), cells(48, s, 8))
+    top = lathe(
+        [(0, 0.71), (0.55, 0.71), (0.58, 0.725), (0.55, 0.74), (0, 0.74)],
+        cells(8, s, 4),
+        cells(48, s, 8),
+    )
     p.add("wood", transform(top, None, [4.3, 1.5, 0]))
     a = np.array([0.4, 1.95, 3.5, 5.1])
     where = np.stack([4.3 + 0.72 * np.cos(a), 1.5 + 0.72 * np.sin(a), 0 * a], 1)
@@ -93,9 +100,21 @@ def _shelf(p: Parts, s: float, rng: np.random.Generator) -> None:
     x, y0, y1, rows = 5.65, 2.5, 4.5, 6
     step = 2.1 / rows
     z = 0.05 + step * np.arange(rows + 1)
-    p.add("wood", boxes(np.stack([0 * z + x, 0 * z + y0, z], 1), np.stack([0 * z + _X, 0 * z + y1, z + 0.025], 1)))
+    p.add(
+        "wood",
+        boxes(
+            np.stack([0 * z + x, 0 * z + y0, z], 1),
+            np.stack([0 * z + _X, 0 * z + y1, z + 0.025], 1),
+        ),
+    )
     sides = np.array([y0 - 0.03, (y0 + y1) / 2, y1])
-    p.add("wood", boxes(np.stack([0 * sides + x, sides, 0 * sides], 1), np.stack([0 * sides + _X, sides + 0.03, 0 * sides + z[-1]], 1)))
+    p.add(
+        "wood",
+        boxes(
+            np.stack([0 * sides + x, sides, 0 * sides], 1),
+            np.stack([0 * sides + _X, sides + 0.03, 0 * sides + z[-1]], 1),
+        ),
+    )
     n = min(40, cells(14, s, 2))
     for row in range(rows):
         for half in range(2):
@@ -120,18 +139,39 @@ def _small(p: Parts, s: float, detail: float, rng: np.random.Generator) -> None:
     shade = lathe([(0.24, 1.4), (0.2, 1.57), (0.16, 1.75)], cells(6, s, 2), cells(32, s, 8))
     p.add("lampshade", transform(shade, None, at))
     p.add("bulb", transform(sphere(0.06, cells(12, s, 6)), None, [0.55, 0.55, 1.55]))
-    p.add("bulb", boxes([2.7, 2.1, 2.74], [3.3, 2.7, 2.78]))
-    p.add("frames", boxes([2.65, 2.05, 2.78], [3.35, 2.75, 2.8]))
+    p.add("bulb", boxes([2.4, 2.0, 2.74], [3.6, 2.8, 2.78]))
+    p.add("frames", boxes([2.35, 1.95, 2.78], [3.65, 2.85, 2.8]))
     # On the coffee table: bowl with fruit, a vase; on the round table: plates.
-    bowl = [(0.0, 0.0), (0.06, 0.0), (0.13, 0.05), (0.17, 0.1), (0.16, 0.1), (0.11, 0.05), (0.0, 0.02)]
+    bowl = [
+        (0.0, 0.0),
+        (0.06, 0.0),
+        (0.13, 0.05),
+        (0.17, 0.1),
+        (0.16, 0.1),
+        (0.11, 0.05),
+        (0.0, 0.02),
+    ]
     p.add("pot", transform(lathe(bowl, cells(14, s, 6), cells(28, s, 6)), None, [1.95, 2.15, 0.42]))
     a = np.arange(6) * 1.05
     fruit = np.stack([1.95 + 0.07 * np.cos(a), 2.15 + 0.07 * np.sin(a), 0 * a + 0.5], 1)
     fruit = np.concatenate([fruit, [[1.95, 2.15, 0.56]]])
     p.add("fruit", instance(sphere(0.037, cells(14, s, 5)), None, fruit))
-    vase = [(0, 0), (0.05, 0), (0.09, 0.09), (0.05, 0.19), (0.03, 0.24), (0.045, 0.28), (0.03, 0.27), (0, 0.2)]
+    vase = [
+        (0, 0),
+        (0.05, 0),
+        (0.09, 0.09),
+        (0.05, 0.19),
+        (0.03, 0.24),
+        (0.045, 0.28),
+        (0.03, 0.27),
+        (0, 0.2),
+    ]
     p.add("vase", transform(lathe(vase, cells(24, s, 8), cells(24, s, 6)), None, [1.9, 2.68, 0.42]))
-    plate = lathe([(0, 0), (0.07, 0.002), (0.12, 0.018), (0.118, 0.022), (0, 0.006)], cells(8, s, 4), cells(28, s, 6))
+    plate = lathe(
+        [(0, 0), (0.07, 0.002), (0.12, 0.018), (0.118, 0.022), (0, 0.006)],
+        cells(8, s, 4),
+        cells(28, s, 6),
+    )
     where = [[4.3 + 0.34 * np.cos(t), 1.5 + 0.34 * np.sin(t), 0.742] for t in (0.4, 1.95, 3.5, 5.1)]
     p.add("vase", instance(plate, None, where))
     # Pictures: on the wall y = 0 and over the sofa.

@@ -40,7 +40,7 @@ def transform(mesh: Mesh, matrix: ArrayLike | None = None, offset: ArrayLike = 0
 
 
 def instance(mesh: Mesh, matrices: ArrayLike | None, offsets: ArrayLike) -> Mesh:
-    """Copies of a mesh.
+    """Copy a mesh many times.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def random_rotations(rng: np.random.Generator, k: int) -> Array:
 
 
 def normalized(v: Array) -> Array:
-    """Unit vectors along the last axis; zero vectors stay zero."""
+    """Scale vectors along the last axis to unit length; zero vectors stay zero."""
     n = np.linalg.norm(v, axis=-1, keepdims=True)
     return v / np.where(n > 0, n, 1.0)
 
@@ -136,7 +136,7 @@ def surface(points: Array, wrap_rows: bool = False, wrap_cols: bool = False) -> 
 
 
 def quad(origin: ArrayLike, u: ArrayLike, v: ArrayLike, nu: int = 1, nv: int = 1) -> Mesh:
-    """A parallelogram with corner `origin` and edges `u`, `v`, cut into nu x nv cells."""
+    """Make a parallelogram with corner `origin` and edges `u`, `v`, cut into nu x nv cells."""
     o, du, dv = (np.asarray(a, dtype=float) for a in (origin, u, v))
     s = np.linspace(0, 1, nu + 1)[:, None, None]
     t = np.linspace(0, 1, nv + 1)[None, :, None]
@@ -204,7 +204,7 @@ def grid_box(lo: ArrayLike, hi: ArrayLike, n: int) -> Mesh:
 
 
 def cube_sphere(n: int) -> Mesh:
-    """Unit sphere of 12 n^2 triangles of nearly even size, from the six faces of a cube."""
+    """Make a unit sphere of 12 n^2 triangles of nearly even size, from the six faces of a cube."""
     t = np.tan(np.linspace(-np.pi / 4, np.pi / 4, n + 1))
     a, b = np.meshgrid(t, t, indexing="ij")
     one = np.ones_like(a)
@@ -274,7 +274,7 @@ def sphere(radius: float, n: int) -> Mesh:
 
 
 def cylinder(radius: float, height: float, sides: int, segments: int = 1) -> Mesh:
-    """Closed cylinder along z from 0 to `height`."""
+    """Make a closed cylinder along z from 0 to `height`."""
     z = np.linspace(0, height, segments + 1)
     profile = np.concatenate(
         [[[0.0, 0.0]], np.stack([np.full_like(z, radius), z], axis=1), [[0.0, height]]]
@@ -338,9 +338,7 @@ def tubes(
     if closed:
         # The carried frame comes back turned by some angle; spread that turn over the path.
         end = normal[:, -1] - t[:, 0] * np.sum(normal[:, -1] * t[:, 0], axis=1, keepdims=True)
-        gap = np.arctan2(
-            np.sum(end * binormal[:, 0], axis=1), np.sum(end * normal[:, 0], axis=1)
-        )
+        gap = np.arctan2(np.sum(end * binormal[:, 0], axis=1), np.sum(end * normal[:, 0], axis=1))
         twist = -gap[:, None] * (np.arange(n) / n)[None, :]
         c, s = np.cos(twist)[..., None], np.sin(twist)[..., None]
         normal, binormal = c * normal + s * binormal, c * binormal - s * normal
@@ -362,7 +360,7 @@ def tubes(
 
 
 def prism(outline: ArrayLike, height: float) -> Mesh:
-    """Closed prism along z over a convex (or star-shaped about its mean) outline ``(n, 2)``."""
+    """Make a closed prism along z over a convex (or star-shaped) outline ``(n, 2)``."""
     q = np.asarray(outline, dtype=float)
     n = len(q)
     ring = np.concatenate([q, q])
@@ -402,7 +400,7 @@ def blades(base: Array, tip: Array, side: Array) -> Mesh:
 
 
 def _lattice(ix: NDArray, iy: NDArray, iz: NDArray, seed: int) -> Array:
-    """A number in [-1, 1) for each lattice point: an integer hash, so no table is needed."""
+    """Hash lattice points to numbers in [-1, 1); no table is needed."""
     m = np.uint64(0xFFFFFFFF)
     h = (
         ix.astype(np.uint64) * np.uint64(73856093)
