@@ -14,36 +14,68 @@ from mibvh.version import __version__
 if TYPE_CHECKING:
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
     from mibvh.errors import MibvhError
+    from mibvh.metrics.epo import epo, epo_per_node
+    from mibvh.metrics.sah import sah, sah_per_node
+    from mibvh.rays import RaySet, diffuse_rays
+    from mibvh.scene import Scene, load
+    from mibvh.studies import Study, StudyOptions, study
+    from mibvh.traversal.trace import Hits, trace
     from mibvh.tree import Tree
     from mibvh.triangles import Triangles, rotation_about
 
 _PUBLIC = {
     "Context": "mibvh.builders",
     "Draft": "mibvh.builders",
+    "Hits": "mibvh.traversal.trace",
     "MibvhError": "mibvh.errors",
     "Options": "mibvh.builders",
+    "RaySet": "mibvh.rays",
     "References": "mibvh.builders",
+    "Scene": "mibvh.scene",
+    "Study": "mibvh.studies",
+    "StudyOptions": "mibvh.studies",
     "Tree": "mibvh.tree",
     "Triangles": "mibvh.triangles",
     "build": "mibvh.builders",
     "builder": "mibvh.builders",
+    "diffuse_rays": "mibvh.rays",
+    "epo": "mibvh.metrics.epo",
+    "epo_per_node": "mibvh.metrics.epo",
+    "load": "mibvh.scene",
     "option": "mibvh.builders",
     "rotation_about": "mibvh.triangles",
+    "sah": "mibvh.metrics.sah",
+    "sah_per_node": "mibvh.metrics.sah",
+    "study": "mibvh.studies",
+    "trace": "mibvh.traversal.trace",
 }
 
 __all__ = [
     "Context",
     "Draft",
+    "Hits",
     "MibvhError",
     "Options",
+    "RaySet",
     "References",
+    "Scene",
+    "Study",
+    "StudyOptions",
     "Tree",
     "Triangles",
     "__version__",
     "build",
     "builder",
+    "diffuse_rays",
+    "epo",
+    "epo_per_node",
+    "load",
     "option",
     "rotation_about",
+    "sah",
+    "sah_per_node",
+    "study",
+    "trace",
 ]
 
 

@@ -44,8 +44,42 @@ def _import_folder(name: str, path: Path) -> ModuleType:
     return module
 
 
+def make_scene(
+    name: str, target: Path, triangles: int | None = None, seed: int | None = None
+) -> Path:
+    """Generate a bundled scene into a folder; return its XML file.
+
+    Parameters
+    ----------
+    name : str
+        A name from the catalogue.
+    target : Path
+        Made if it is not there.
+    triangles, seed : int, optional
+        The scene's own defaults if not given.
+
+    Raises
+    ------
+    MibvhError
+        If there is no bundled scene of that name, or a number is out of range.
+    """
+    package = scenes_package()
+    if name not in package.CATALOGUE:
+        raise MibvhError(
+            f"{name}: there is no such file, and no bundled scene of that name "
+            f"(bundled: {', '.join(package.CATALOGUE)})"
+        )
+    if triangles is not None and triangles < 1:
+        raise MibvhError(f"{name}: a scene needs at least one triangle, not {triangles}")
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MibvhError(f"{target}: cannot be made a folder ({error.strerror})") from None
+    return Path(package.write(name, target, triangles, seed))
+
+
 def bundled_scene(name: str, triangles: int | None = None, seed: int | None = None) -> Path:
-    """Generate a bundled scene into the cache, unless it is there; return its XML file.
+    """Return the XML file of a bundled scene in the cache, generated if it is not there.
 
     Parameters
     ----------
@@ -57,20 +91,16 @@ def bundled_scene(name: str, triangles: int | None = None, seed: int | None = No
     Raises
     ------
     MibvhError
-        If there is neither a file nor a bundled scene of that name.
+        As for :func:`make_scene`.
     """
     base, _, size = name.partition("@")
-    package = scenes_package()
-    if base not in package.CATALOGUE or (size and not size.isdigit()):
-        raise MibvhError(
-            f"{name}: there is no such file, and no bundled scene of that name "
-            f"(bundled: {', '.join(package.CATALOGUE)})"
-        )
-    triangles = int(size) if size else triangles
-    info = package.CATALOGUE[base]
-    label = f"{base}-{triangles or info.triangles}" + ("" if seed is None else f"-{seed}")
+    if size:
+        if not size.isdigit():
+            raise MibvhError(f"{name}: after the @ stands the number of triangles")
+        triangles = int(size)
+    label = base + (f"@{triangles}" if triangles else "") + (f"+{seed}" if seed is not None else "")
     target = cache_folder() / "scenes" / label
-    if not (target / "scene.json").exists() or not (target / "scene.xml").exists():
-        target.mkdir(parents=True, exist_ok=True)
-        package.write(base, target, triangles, seed)
-    return target / "scene.xml"
+    # scene.json is written last.
+    if (target / "scene.json").exists() and (target / "scene.xml").exists():
+        return target / "scene.xml"
+    return make_scene(base, target, triangles, seed)

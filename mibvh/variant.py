@@ -11,7 +11,8 @@ from mibvh.errors import MibvhError
 from mibvh.parallel import thread_count
 
 DEFAULT = "llvm_ad_rgb"
-_LLVM_HINT = (
+#: What to do where Dr.Jit finds no LLVM.
+LLVM_HINT = (
     "install LLVM 15 or newer (Debian, Ubuntu: apt install libllvm19; macOS: brew install llvm), "
     "or point DRJIT_LIBLLVM_PATH at its libLLVM; `mibvh doctor` tells what is found"
 )
@@ -54,7 +55,7 @@ def _prepare(backend: str) -> None:
 
     jit = dr.JitBackend.LLVM if backend == "llvm" else dr.JitBackend.CUDA
     if not dr.has_backend(jit):
-        hint = _LLVM_HINT if backend == "llvm" else "an NVIDIA driver is needed"
+        hint = LLVM_HINT if backend == "llvm" else "an NVIDIA driver is needed"
         raise MibvhError(f"Dr.Jit cannot use its {backend.upper()} backend: {hint}")
     if "MIBVH_THREADS" in os.environ:
         dr.set_thread_count(thread_count())

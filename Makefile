@@ -1,0 +1,41 @@
+# Two commands on a fresh machine: `make study` and `make test`.
+# Needs git, make and Python >= 3.11; sets up the rest and says what it does.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+OUT    ?= out/study
+# The size that every bundled scene is generated at for `make study`.
+SIZE   ?= 20000
+SCENES ?= cornell livingroom hairball
+
+.PHONY: study test lint setup lock clean
+
+study: setup
+	$(BIN)/mibvh study $(addsuffix @$(SIZE),$(SCENES)) -o $(OUT)
+
+test: setup
+	$(BIN)/python -m pytest
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+setup: $(VENV)/installed
+	@PYTHON=$(BIN)/python sh tools/ensure_llvm.sh
+
+$(VENV)/installed: pyproject.toml requirements.lock
+	@echo "Setting up $(VENV) with $$($(PYTHON) --version) and the locked dependencies ..."
+	@$(PYTHON) -c 'import sys; sys.exit("mibvh needs Python 3.11 or newer, not " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	@touch $@
+
+# Needs uv; writes the versions that `make setup` installs.
+lock:
+	uv pip compile --quiet --universal --python-version 3.11 --extra dev --no-emit-index-url --no-annotate -o requirements.lock pyproject.toml
+
+clean:
+	rm -rf $(VENV) out

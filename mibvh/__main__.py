@@ -1,0 +1,5 @@
+"""``python -m mibvh``."""
+
+from mibvh.cli import main
+
+main()

@@ -1,0 +1,375 @@
+"""The command line: each command is one public function.
+
+Results go to standard output (with ``--json`` as one JSON object), progress and logs to
+standard error. Exit code 0, or 2 with one sentence for a user's mistake.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from mibvh.errors import MibvhError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Measures and predicts how fast a bounding volume hierarchy really is.",
+)
+scenes_app = typer.Typer(no_args_is_help=True, help="The bundled scenes: list, make, show.")
+app.add_typer(scenes_app, name="scenes")
+
+SceneArgument = Annotated[
+    str, typer.Argument(metavar="SCENE", help="Mitsuba XML, a mesh file, or a bundled scene's name")
+]
+TreeArgument = Annotated[Path, typer.Argument(metavar="TREE.npz")]
+RaysArgument = Annotated[Path, typer.Argument(metavar="RAYS.npz")]
+Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
+
+
+def _print(result: dict[str, Any], as_json: bool) -> None:
+    """Print a result: one JSON object, or a table of two columns."""
+    if as_json:
+        typer.echo(json.dumps(result))
+        return
+    table = Table(show_header=False, box=None)
+    for name, value in result.items():
+        text = f"{value:.6g}" if isinstance(value, float) else str(value)
+        table.add_row(name, text)
+    Console().print(table)
+
+
+def _progress() -> Any:
+    """A progress bar on standard error, quiet where that is no terminal."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    return Progress(
+        TextColumn("{task.description:<28}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=not sys.stderr.isatty(),
+        transient=True,
+    )
+
+
+def _parse_options(pairs: list[str]) -> dict[str, Any]:
+    """``name=value`` pairs; values as JSON where they are, otherwise as text."""
+    options: dict[str, Any] = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        if not equals or not name:
+            raise MibvhError(f"--option takes NAME=VALUE, not {pair!r}")
+        try:
+            options[name] = json.loads(value)
+        except ValueError:
+            options[name] = value
+    return options
+
+
+def _load_plugin(path: Path) -> None:
+    """Run a Python file that registers builders."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None or not path.exists():
+        raise MibvhError(f"--plugin {path}: there is no such Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    spec.loader.exec_module(module)
+
+
+@app.callback()
+def _common(
+    plugin: Annotated[
+        list[Path] | None,
+        typer.Option("--plugin", help="Python file that registers builders of your own"),
+    ] = None,
+) -> None:
+    for path in plugin or []:
+        _load_plugin(path)
+
+
+@app.command("build")
+def build_command(
+    scene: SceneArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="the tree file to write")],
+    builder: Annotated[str, typer.Option(help="a name from `mibvh builders`")] = "bbvh",
+    option: Annotated[list[str] | None, typer.Option(help="NAME=VALUE of the builder")] = None,
+    as_json: Json = False,
+) -> None:
+    """Build a tree of a scene and save it."""
+    from mibvh import build, load, sah
+
+    options = _parse_options(option or [])
+    triangles = load(scene).triangles
+    with _progress() as bar:
+        task = bar.add_task(f"build {builder}", total=1.0)
+        tree = build(
+            triangles,
+            builder,
+            progress=lambda stage, done: bar.update(task, description=stage, completed=done),
+            **options,
+        )
+    tree.save(output)
+    stats = tree.stats()
+    result = {
+        "builder": builder,
+        **{k: stats[k] for k in ("triangles", "references", "nodes", "leaves", "depth")},
+        "sah": sah(tree),
+        "build_seconds": tree.meta["build_seconds"],
+        "report": tree.meta["report"],
+    }
+    _print(result, as_json)
+
+
+@app.command()
+def metrics(scene: SceneArgument, tree: TreeArgument, as_json: Json = False) -> None:
+    """SAH, EPO and statistics of a tree."""
+    from mibvh import Tree, epo, load, sah
+
+    triangles = load(scene).triangles
+    loaded = Tree.load(tree)
+    with _progress() as bar:
+        task = bar.add_task("EPO", total=1.0)
+        overlap = epo(loaded, triangles, progress=lambda done: bar.update(task, completed=done))
+    builder = loaded.meta.get("builder")
+    _print({"builder": builder, "sah": sah(loaded), "epo": overlap, **loaded.stats()}, as_json)
+
+
+@app.command()
+def rays(
+    scene: SceneArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="the ray file to write")],
+    viewpoints: Annotated[int | None, typer.Option(help="how many cameras; all by default")] = None,
+    width: Annotated[int, typer.Option(help="pixels per viewpoint")] = 320,
+    height: Annotated[int, typer.Option(help="pixels per viewpoint")] = 240,
+    samples: Annotated[int, typer.Option(help="paths per pixel")] = 4,
+    bounces: Annotated[int, typer.Option(help="diffuse rays per path, at most")] = 1,
+    seed: Annotated[int, typer.Option(help="of the random numbers")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Path-trace diffuse rays with Mitsuba and save them."""
+    from mibvh import diffuse_rays, load
+
+    loaded = load(scene)
+    with _progress() as bar:
+        task = bar.add_task("rays", total=1.0)
+        found = diffuse_rays(
+            loaded, viewpoints=viewpoints, width=width, height=height, samples=samples,
+            bounces=bounces, seed=seed, progress=lambda done: bar.update(task, completed=done),
+        )  # fmt: skip
+    found.save(output)
+    per_bounce = {int(b): int((found.bounce == b).sum()) for b in range(1, bounces + 1)}
+    _print({"rays": len(found), **found.meta, "rays_per_bounce": per_bounce}, as_json)
+
+
+@app.command()
+def trace(
+    scene: SceneArgument,
+    tree: TreeArgument,
+    rays: RaysArgument,
+    lanes: Annotated[str, typer.Option(help="simd or scalar")] = "simd",
+    cull: Annotated[bool, typer.Option(help="re-test popped nodes against the hit")] = False,
+    any_hit: Annotated[bool, typer.Option(help="end at the first hit found")] = False,
+    repeats: Annotated[int, typer.Option(help="timed launches")] = 5,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="hits to write")] = None,
+    as_json: Json = False,
+) -> None:
+    """Trace rays through a tree: hits, exact counters, kernel time."""
+    from mibvh import RaySet, Tree, load
+    from mibvh.traversal.trace import trace as run
+
+    triangles = load(scene).triangles
+    hits = run(
+        Tree.load(tree), triangles, RaySet.load(rays), lanes,  # type: ignore[arg-type]
+        cull=cull, any_hit=any_hit, repeats=repeats,
+    )  # fmt: skip
+    if output:
+        hits.save(output)
+    _print(hits.summary(), as_json)
+
+
+@app.command()
+def study(
+    scenes: Annotated[list[str], typer.Argument(metavar="SCENE...", help="as for build")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="folder of the results")],
+    builders: Annotated[str, typer.Option(help="names, comma-separated; all by default")] = "",
+    profile: Annotated[str, typer.Option(help="quick or paper")] = "quick",
+    seconds: Annotated[float | None, typer.Option(help="stopwatch budget per lane mode")] = None,
+    seed: Annotated[int, typer.Option(help="of the rays")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Build, measure, predict and report, for scenes and builders."""
+    from mibvh import StudyOptions
+    from mibvh import study as run
+    from mibvh.studies import PROFILES
+
+    if profile not in PROFILES:
+        raise MibvhError(f"--profile is one of {', '.join(PROFILES)}, not {profile!r}")
+    choices = {**PROFILES[profile], "seed": seed}
+    if seconds is not None:
+        choices["seconds"] = seconds
+    named = tuple(name.strip() for name in builders.split(",") if name.strip())
+    with _progress() as bar:
+        task = bar.add_task("study", total=float(len(scenes)))
+        order: dict[str, int] = {}
+
+        def show(scene: str, stage: str, done: float) -> None:
+            place = order.setdefault(scene, len(order))
+            bar.update(task, description=f"{scene}: {stage}", completed=place + done)
+            if done == 1.0 and bar.disable:
+                typer.echo(f"{scene}: done ({place + 1} of {len(scenes)})", err=True)
+
+        options = StudyOptions(builders=named, **choices)
+        result = run(scenes, output, options=options, progress=show)
+    if as_json:
+        rows = json.loads(result.table.to_json(orient="records"))
+        r = json.loads(result.correlations.to_json(orient="records"))
+        typer.echo(json.dumps({"report": str(result.report), "trees": rows, "correlations": r}))
+        return
+    _print_study(result)
+
+
+def _print_study(result: Any) -> None:
+    from mibvh.studies.analyse import overview
+    from mibvh.studies.report import COLUMNS
+
+    console = Console()
+    shown = [c for c in COLUMNS if c[0] in ("sah", "epo", "lcv", "counted_cost", "scalar_ns",
+                                            "simd_ns", "build_seconds")]  # fmt: skip
+    table = Table("scene", "triangles", "builder", *(title for _, title, _, _ in shown), box=None)
+    for _, row in result.table.iterrows():
+        cells = [form.format(row[key]) for key, _, form, _ in shown]
+        table.add_row(row["scene"], f"{row['triangles']:,}", row["builder"], *cells)
+    console.print(table)
+    console.print()
+    table = Table("measured", "predictor", "mean r", "min", "max", "scenes", box=None)
+    for (measurement, predictor), row in overview(result.correlations).iterrows():
+        values = [f"{row[c]:.3f}" if row[c] == row[c] else "–" for c in ("mean", "min", "max")]
+        table.add_row(measurement, predictor, *values, str(int(row["scenes"])))
+    console.print(table)
+    console.print(f"\nreport: {result.report}", soft_wrap=True)
+
+
+@app.command()
+def report(folder: Annotated[Path, typer.Argument(help="of a study")], as_json: Json = False) -> None:
+    """Remake a study's tables and report without measuring again."""
+    from mibvh.studies.run import read_study, write_outputs
+
+    found = read_study(folder)
+    write_outputs(found.folder, found.scenes)
+    _print({"report": str(found.report), "scenes": len(found.scenes)}, as_json)
+
+
+@app.command()
+def builders(as_json: Json = False) -> None:
+    """List the builders, their sources and options."""
+    from mibvh.builders import get, names
+
+    described = [get(name).describe() for name in names()]
+    if as_json:
+        typer.echo(json.dumps({"builders": described}))
+        return
+    table = Table("builder", "what it does", "source", "options (default)", box=None)
+    for entry in described:
+        own = [f"{k} ({v['default']})" for k, v in entry["options"].items()]
+        table.add_row(entry["name"], entry["summary"], entry["source"], ", ".join(own))
+    Console().print(table)
+
+
+@app.command()
+def doctor(as_json: Json = False) -> None:
+    """Tell what this machine has, and what to install."""
+    from mibvh.environment import doctor as look
+
+    found = look()
+    if as_json:
+        typer.echo(json.dumps(found))
+    else:
+        environment = found.pop("environment", {})
+        _print({**found, "advice": "; ".join(found["advice"]) or "none needed", **environment}, False)
+    if not found["ready"]:
+        raise typer.Exit(2)
+
+
+@scenes_app.command("list")
+def scenes_list(as_json: Json = False) -> None:
+    """List the bundled scenes."""
+    from mibvh.bundled import scenes_package
+
+    catalogue = scenes_package().CATALOGUE.values()
+    if as_json:
+        import dataclasses
+
+        typer.echo(json.dumps({"scenes": [dataclasses.asdict(info) for info in catalogue]}))
+        return
+    table = Table("scene", "kind", "triangles", "what it shows", box=None)
+    for info in catalogue:
+        table.add_row(info.name, info.kind, f"{info.triangles:,}", info.title)
+    Console().print(table)
+
+
+@scenes_app.command("make")
+def scenes_make(
+    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME...]", help="all by default")] = None,
+    triangles: Annotated[int | None, typer.Option(help="size; each scene's own by default")] = None,
+    seed: Annotated[int | None, typer.Option(help="each scene's own by default")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="folder; mibvh's cache by default")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Generate bundled scenes: XML and meshes."""
+    from mibvh.bundled import bundled_scene, make_scene, scenes_package
+
+    made = {}
+    for name in names or list(scenes_package().CATALOGUE):
+        if output is None:
+            made[name] = str(bundled_scene(name, triangles, seed))
+        else:
+            made[name] = str(make_scene(name, output / name, triangles, seed))
+        if not as_json:
+            typer.echo(made[name])
+    if as_json:
+        typer.echo(json.dumps({"scenes": made}))
+
+
+@scenes_app.command("show")
+def scenes_show(
+    name: SceneArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="the PNG to write")],
+    as_json: Json = False,
+) -> None:
+    """Render a scene's first viewpoint to a PNG."""
+    import base64
+
+    from mibvh import load
+    from mibvh.files import atomic_path
+    from mibvh.studies.picture import picture
+
+    scene = load(name)
+    with atomic_path(output) as path:
+        path.write_bytes(base64.b64decode(picture(scene)))
+    _print({"scene": scene.name, "triangles": len(scene.triangles), "picture": str(output)}, as_json)
+
+
+def main() -> None:
+    """Entry point of the ``mibvh`` command."""
+    try:
+        app()
+    except MibvhError as error:
+        sys.stderr.write(f"mibvh: {error}\n")
+        raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()

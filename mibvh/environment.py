@@ -1,0 +1,80 @@
+"""What this machine is: kept with every result, and shown by ``mibvh doctor``."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+from pathlib import Path
+from typing import Any
+
+from mibvh.parallel import thread_count
+from mibvh.version import __version__
+
+_PACKAGES = ("drjit", "mitsuba", "numba", "numpy", "scipy", "pandas", "trimesh")
+
+
+def cpu_model() -> str:
+    """Return the processor's name."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def environment() -> dict[str, Any]:
+    """Versions, processor, LLVM, lane width and threads, as JSON-able values.
+
+    Raises
+    ------
+    MibvhError
+        If no JIT variant can be used.
+    """
+    import drjit as dr
+
+    from mibvh.variant import lane_width, mitsuba
+
+    mi = mitsuba()
+    llvm = mi.variant().startswith("llvm")
+    return {
+        "mibvh": __version__,
+        "python": platform.python_version(),
+        "packages": {name: importlib.metadata.version(name) for name in _PACKAGES},
+        "system": f"{platform.system()} {platform.release()}",
+        "cpu": cpu_model(),
+        "cores": os.cpu_count(),
+        "threads": thread_count(),
+        "variant": mi.variant(),
+        "llvm": ".".join(map(str, dr.detail.llvm_version())) if llvm else None,
+        "libllvm": os.environ.get("DRJIT_LIBLLVM_PATH", "system"),
+        "lane_width": lane_width(),
+    }
+
+
+def doctor() -> dict[str, Any]:
+    """Look at what the machine has for mibvh, without raising.
+
+    Returns
+    -------
+    dict
+        ``ready`` (bool), ``llvm`` and ``cuda`` (whether Dr.Jit can use them), ``advice`` (what
+        to install, in sentences), and the :func:`environment` if there is a usable backend.
+    """
+    import drjit as dr
+
+    from mibvh.errors import MibvhError
+    from mibvh.variant import LLVM_HINT
+
+    llvm, cuda = dr.has_backend(dr.JitBackend.LLVM), dr.has_backend(dr.JitBackend.CUDA)
+    found: dict[str, Any] = {"ready": llvm or cuda, "llvm": llvm, "cuda": cuda, "advice": []}
+    if not llvm:
+        found["advice"].append(f"no usable LLVM: {LLVM_HINT}")
+    try:
+        found["environment"] = environment()
+    except MibvhError as error:
+        found["ready"] = False
+        found["advice"].append(str(error))
+    return found

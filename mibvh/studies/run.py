@@ -1,0 +1,308 @@
+"""Run a study: scene by scene, tree by tree, everything kept as it is finished."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mibvh.builders import build, get, names
+from mibvh.environment import environment
+from mibvh.errors import MibvhError
+from mibvh.files import write_text
+from mibvh.metrics.epo import overlap
+from mibvh.metrics.sah import node_costs, sah_per_node
+from mibvh.rays import RaySet, diffuse_rays
+from mibvh.scene import Scene, load
+from mibvh.studies.options import StudyOptions
+from mibvh.studies.stopwatch import measure
+from mibvh.studies.store import Store, key_of
+from mibvh.traversal.records import make_records, unit_scale
+from mibvh.traversal.trace import Tracer, trace
+from mibvh.tree import Tree
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Called as ``progress(scene, stage, done)`` with ``done`` from 0 to 1 within the scene.
+Progress = Callable[[str, str, float], None]
+
+_KEPT = "scene-"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Study:
+    """A finished study.
+
+    Attributes
+    ----------
+    folder : Path
+        Where its files are.
+    scenes : list of dict
+        One record per scene; see :func:`study_scene`.
+    environment : dict
+        What it was measured on.
+    """
+
+    folder: Path
+    scenes: list[dict[str, Any]]
+    environment: dict[str, Any]
+
+    @functools.cached_property
+    def table(self) -> pd.DataFrame:
+        """One row per scene and tree."""
+        from mibvh.studies.tables import wide_table
+
+        return wide_table(self.scenes)
+
+    @functools.cached_property
+    def correlations(self) -> pd.DataFrame:
+        """One row per scene, measurement and predictor."""
+        from mibvh.studies.analyse import correlations
+
+        return correlations(self.scenes)
+
+    @property
+    def report(self) -> Path:
+        """The HTML report."""
+        return self.folder / "report.html"
+
+
+def study(
+    scenes: Sequence[Any],
+    folder: str | os.PathLike[str] = "out",
+    *,
+    options: StudyOptions | None = None,
+    progress: Progress | None = None,
+    **choices: Any,
+) -> Study:
+    """Build trees for scenes, measure and predict their cost, and write a report.
+
+    Parameters
+    ----------
+    scenes : sequence
+        Each a Scene or what :func:`mibvh.load` takes.
+    folder : path
+        Results go here; run again with the same folder to go on after an interruption.
+    options : StudyOptions, optional
+    progress : callable, optional
+        Called as ``progress(scene, stage, done)``.
+    **choices
+        Fields of :class:`StudyOptions`, instead of ``options``.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    MibvhError
+        If a scene cannot be loaded, a builder is unknown, or an option is out of range.
+    """
+    options = options or StudyOptions(**choices)
+    if not scenes:
+        raise MibvhError("a study needs at least one scene")
+    chosen = options.builders or tuple(names())
+    for name in chosen:
+        get(name)
+    if len(set(chosen)) < len(chosen):
+        raise MibvhError(f"a builder is named twice: {', '.join(chosen)}")
+    options = dataclasses.replace(options, builders=chosen)
+    store = Store(Path(folder) / "cache")
+    records: list[dict[str, Any]] = []
+    taken: set[str] = set()
+    for source in scenes:
+        scene = load(source)
+        if scene.name in taken:
+            raise MibvhError(f"two scenes are called {scene.name}; rename a file or folder")
+        taken.add(scene.name)
+        records.append(study_scene(scene, options, store, progress or (lambda *_: None)))
+    write_outputs(Path(folder), records)
+    return Study(Path(folder), records, environment())
+
+
+def study_scene(
+    scene: Scene, options: StudyOptions, store: Store, progress: Progress
+) -> dict[str, Any]:
+    """Study one scene.
+
+    Returns
+    -------
+    dict
+        JSON-able: ``scene``, ``triangles``, ``rays`` (facts of the ray set), ``timing`` (per
+        lane mode: rounds, whether the error asked for was reached, and how far the same tree,
+        timed twice under two names, differed), ``trees`` (one dict per builder: metrics,
+        counters, times and their relative errors), and ``options``.
+    """
+    triangles = scene.triangles
+    rays_key = key_of(digest=triangles.digest, cameras=_cameras(scene), **options.rays())
+    progress(scene.name, "rays", 0.0)
+    rays = store.array(RaySet, rays_key, lambda: diffuse_rays(scene, **options.rays()))
+    count = len(options.builders)
+    trees: list[Tree] = []
+    rows: list[dict[str, Any]] = []
+    for i, name in enumerate(options.builders):
+        progress(scene.name, f"build {name}", 0.02 + 0.5 * i / count)
+        tree_key = key_of(digest=triangles.digest, builder=name)
+        tree = store.array(Tree, tree_key, functools.partial(build, triangles, name))
+        progress(scene.name, f"metrics {name}", 0.02 + 0.5 * (i + 0.5) / count)
+        row = _kept(store, f"metrics-{tree_key}", lambda tree=tree: tree_metrics(tree, scene))
+        progress(scene.name, f"count {name}", 0.02 + 0.5 * (i + 0.8) / count)
+        counts_key = key_of(tree=tree_key, rays=rays_key, cull=options.cull)
+        counts = _kept(
+            store,
+            f"counts-{counts_key}",
+            lambda tree=tree: _counts(tree, scene, rays, options),
+        )
+        trees.append(tree)
+        rows.append({"builder": name, **row, **counts})
+    timing = {}
+    for m, lanes in enumerate(("scalar", "simd")):
+        key = key_of(
+            digest=triangles.digest,
+            rays=rays_key,
+            lanes=lanes,
+            options=dataclasses.asdict(options),
+            machine=environment(),
+        )
+        timing[lanes] = _kept(
+            store,
+            f"timing-{key}",
+            lambda lanes=lanes, m=m: _times(
+                trees, scene, rays, lanes, options,
+                lambda done: progress(scene.name, f"time {lanes}", 0.55 + 0.2 * (m + done)),
+            ),
+        )  # fmt: skip
+        for row, ns, error in zip(rows, timing[lanes]["ns"], timing[lanes]["error"], strict=False):
+            row[f"{lanes}_ns"], row[f"{lanes}_error"] = ns, error
+    record = {
+        "scene": scene.name,
+        "triangles": len(triangles),
+        "digest": triangles.digest,
+        "notes": scene.notes,
+        "rays": {**rays.meta, "count": len(rays), "digest": rays.digest},
+        "timing": {lanes: {k: v for k, v in t.items() if k != "ns" and k != "error"}
+                   for lanes, t in timing.items()},
+        "trees": rows,
+        "options": dataclasses.asdict(options),
+        "environment": environment(),
+        "picture": _kept(store, f"picture-{rays_key}", lambda: _picture(scene)),
+    }  # fmt: skip
+    store.write(_KEPT + scene.name, record)
+    progress(scene.name, "done", 1.0)
+    return record
+
+
+def _kept(store: Store, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """A JSON piece: read if it is here and sound, otherwise made and kept."""
+    value = store.read(name)
+    if value is None:
+        value = make()
+        store.write(name, value)
+    return value
+
+
+def _cameras(scene: Scene) -> list[str]:
+    """What the rays depend on besides the triangles, as text."""
+    return [str(sensor) for sensor in scene.sensors]
+
+
+def tree_metrics(tree: Tree, scene: Scene) -> dict[str, Any]:
+    """SAH and EPO of a tree, in total and by depth, and its statistics."""
+    found = overlap(tree, scene.triangles)
+    sah_share, epo_share = sah_per_node(tree), node_costs(tree) * found.fraction
+    depth_count = tree.depth + 1
+    return {
+        **tree.stats(),
+        "build_seconds": tree.meta["build_seconds"],
+        "sah": float(sah_share.sum()),
+        "epo": float(epo_share.sum()),
+        "epo_pairs": found.pairs,
+        "sah_by_depth": np.bincount(tree.depths, sah_share, depth_count).tolist(),
+        "epo_by_depth": np.bincount(tree.depths, epo_share, depth_count).tolist(),
+        "c_inner": tree.meta["c_inner"],
+        "c_tri": tree.meta["c_tri"],
+        "options": tree.meta["options"],
+        "build_report": tree.meta["report"],
+    }
+
+
+def _counts(tree: Tree, scene: Scene, rays: RaySet, options: StudyOptions) -> dict[str, Any]:
+    hits = trace(tree, scene.triangles, rays, "simd", cull=options.cull, repeats=1)
+    summary = hits.summary()
+    kept = ("hits", "inner_per_ray", "leaves_per_ray", "triangles_per_ray", "lcv",
+            "inner_deviation", "steps_deviation", "lane_utilisation")  # fmt: skip
+    cost = hits.counted_cost(tree.meta["c_inner"], tree.meta["c_tri"])
+    return {**{name: summary[name] for name in kept}, "counted_cost": cost}
+
+
+def _times(
+    trees: list[Tree],
+    scene: Scene,
+    rays: RaySet,
+    lanes: Any,
+    options: StudyOptions,
+    progress: Callable[[float], None],
+) -> dict[str, Any]:
+    """Time all trees of a scene, and the first one a second time under another name."""
+    if lanes == "scalar":
+        rays = rays.select(slice(None, None, -(-len(rays) // options.scalar_rays)))
+    tracer = Tracer(rays, float(unit_scale(scene.triangles)), lanes, cull=options.cull)
+    records = [make_records(tree, scene.triangles) for tree in trees]
+    again = make_records(trees[0], scene.triangles)
+    launches = [lambda r=r: tracer.run(r)[1] for r in [*records, again]]
+    timings = measure(
+        launches,
+        seconds=options.seconds,
+        standard_error=options.standard_error,
+        progress=progress,
+    )
+    ns = timings.estimate / len(rays) * 1e9
+    return {
+        "ns": ns[:-1].tolist(),
+        "error": timings.relative_error[:-1].tolist(),
+        "rounds": len(timings.seconds),
+        "complete": timings.complete,
+        "rays": len(rays),
+        "repeat_difference": float(ns[-1] / ns[0] - 1),
+    }
+
+
+def _picture(scene: Scene) -> dict[str, Any]:
+    from mibvh.studies.picture import picture
+
+    return {"png": picture(scene)}
+
+
+def write_outputs(folder: Path, records: list[dict[str, Any]]) -> None:
+    """Write the tables, the environment and the report of the scenes that are finished."""
+    import json
+
+    from mibvh.studies.report import write_report
+    from mibvh.studies.tables import write_tables
+
+    write_tables(folder, records)
+    write_text(folder / "environment.json", json.dumps(records[-1]["environment"], indent=2))
+    write_report(folder, records)
+
+
+def read_study(folder: str | os.PathLike[str]) -> Study:
+    """Read a study back from its folder.
+
+    Raises
+    ------
+    MibvhError
+        If there is no finished scene in it.
+    """
+    cache = Path(folder) / "cache"
+    store = Store(cache) if cache.is_dir() else None
+    paths = sorted(cache.glob(f"{_KEPT}*.json"), key=lambda p: p.stat().st_mtime) if store else []
+    records = [record for path in paths if store and (record := store.read(path.stem))]
+    if not records:
+        raise MibvhError(f"{folder}: there is no finished scene of a study in this folder")
+    return Study(Path(folder), records, records[-1]["environment"])

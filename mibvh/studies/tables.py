@@ -1,0 +1,79 @@
+"""The study's tables: one tidy, one for people."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from mibvh.files import atomic_path
+from mibvh.studies.analyse import correlations
+
+#: Measurements of a tree and their units, in the order of the tables.
+UNITS = {
+    "build_seconds": "s",
+    "sah": "cost",
+    "epo": "cost",
+    "lcv": "leaves",
+    "scalar_ns": "ns/ray",
+    "simd_ns": "ns/ray",
+    "scalar_error": "share",
+    "simd_error": "share",
+    "counted_cost": "cost",
+    "inner_per_ray": "nodes/ray",
+    "leaves_per_ray": "leaves/ray",
+    "triangles_per_ray": "tests/ray",
+    "inner_deviation": "nodes/ray",
+    "steps_deviation": "steps/ray",
+    "lane_utilisation": "share",
+    "references": "count",
+    "nodes": "count",
+    "leaves": "count",
+    "depth": "levels",
+    "mean_leaf_size": "references",
+    "epo_pairs": "count",
+}
+
+
+def wide_table(records: list[dict[str, Any]]) -> pd.DataFrame:
+    """One row per scene and tree."""
+    return pd.DataFrame([
+        {"scene": r["scene"], "triangles": r["triangles"], "builder": tree["builder"],
+         **{name: tree[name] for name in UNITS}}
+        for r in records for tree in r["trees"]
+    ])  # fmt: skip
+
+
+def tidy_table(records: list[dict[str, Any]]) -> pd.DataFrame:
+    """One row per scene, tree and measurement, with what it was made with."""
+    rows = []
+    for r in records:
+        environment = r["environment"]
+        common = {
+            "scene": r["scene"], "triangles": r["triangles"], "digest": r["digest"],
+            "rays": r["rays"]["count"], "seed": r["rays"]["seed"],
+            "study_options": json.dumps(r["options"]), "mibvh": environment["mibvh"],
+            "mitsuba": environment["packages"]["mitsuba"],
+            "drjit": environment["packages"]["drjit"], "llvm": environment["llvm"],
+            "variant": environment["variant"], "lane_width": environment["lane_width"],
+            "cpu": environment["cpu"], "threads": environment["threads"],
+        }  # fmt: skip
+        for tree in r["trees"]:
+            for name, unit in UNITS.items():
+                rows.append({
+                    **common, "builder": tree["builder"],
+                    "builder_options": json.dumps(tree["options"]),
+                    "measurement": name, "value": float(tree[name]), "unit": unit,
+                })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def write_tables(folder: Path, records: list[dict[str, Any]]) -> None:
+    """Write ``results.parquet`` (tidy), ``results.csv`` (wide) and ``correlations.csv``."""
+    with atomic_path(folder / "results.parquet") as path:
+        tidy_table(records).to_parquet(path, index=False)
+    for name, table in (("results", wide_table(records)), ("correlations", correlations(records))):
+        with atomic_path(folder / f"{name}.csv") as path:
+            table.to_csv(path, index=False)
