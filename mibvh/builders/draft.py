@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from mibvh._jit import njit
 from mibvh.triangles import F32, F64, I32, Triangles
 
 
@@ -41,15 +42,48 @@ class References:
     @classmethod
     def of(cls, triangles: Triangles) -> References:
         """One reference per triangle, under the triangle's own box."""
-        largest = float(np.abs(triangles.bounds).max())
-        scale = 2.0 ** -np.frexp(largest)[1] if largest > 0 else 1.0
-        scale = float(np.float32(scale))
-        return cls(
-            triangles.lower * np.float32(scale),
-            triangles.upper * np.float32(scale),
-            np.arange(len(triangles), dtype=np.int32),
-            scale,
-        )
+        corners = triangles.corners.reshape(-1, 9)
+        # Not beyond what float32 holds, whose smallest numbers have larger reciprocals.
+        largest = np.uint32(_largest(corners.reshape(-1).view(np.uint32))).view(np.float32)
+        exponent = min(126, -int(np.frexp(largest)[1]))
+        lower = np.empty((len(corners), 3), np.float32)
+        upper = np.empty((len(corners), 3), np.float32)
+        scale = 2.0**exponent
+        _boxes(corners, np.float32(scale), np.float32(1.0 / scale), lower, upper)
+        return cls(lower, upper, np.arange(len(corners), dtype=np.int32), scale)
+
+
+@njit
+def _largest(bits):
+    """Bits of the largest magnitude, from the bits of float32 values.
+
+    Without the sign, they compare as integers, which takes LLVM to vector instructions.
+    """
+    largest = np.uint32(0)
+    for i in range(np.uint64(len(bits))):
+        largest = max(largest, bits[i] & np.uint32(0x7FFFFFFF))
+    return largest
+
+
+@njit
+def _boxes(corners, scale, unscale, lower, upper):
+    """Scaled boxes of triangles, given as rows of nine coordinates.
+
+    Beside huge coordinates, tiny ones are scaled into the range where float32 loses
+    digits. Then a box is moved outwards by the smallest number there is, so that it holds
+    its triangle all the same.
+    """
+    tiny = np.float32(2.0**-149)
+    for i in range(np.uint64(len(corners))):
+        for k in range(np.uint64(3)):
+            a, b, c = corners[i, k], corners[i, k + np.uint64(3)], corners[i, k + np.uint64(6)]
+            low = a if a < b else b
+            low = low if low < c else c
+            high = a if a > b else b
+            high = high if high > c else c
+            x, y = low * scale, high * scale
+            lower[i, k] = x - tiny if x * unscale > low else x
+            upper[i, k] = y + tiny if y * unscale < high else y
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -145,18 +145,12 @@ def _walk(left, right, reference, lower, upper, triangle, split, costs, max_leaf
             size = count
             if split and count <= _MAX_DUPLICATED:
                 size = np.int32(_distinct(ids, written, count, max_leaf))
-            as_leaf = c_tri * size * area
-            leaf = size <= max_leaf and as_leaf <= cost
-            if split and leaf and size < count:
-                written = _drop_repeats(ids, written, count)
-                count = size
-            # Which way this goes is hard to foresee; selections, unlike jumps, cost the same
-            # either way.
-            cost = as_leaf if leaf else cost
-            child = np.int32(-1) if leaf else child
-            height = np.int32(0) if leaf else height
-            place = place_of[top] if leaf else place
-            first = np.int32(written)
+            if size <= max_leaf and c_tri * size * area <= cost:
+                cost = c_tri * size * area
+                if size < count:
+                    written = _drop_repeats(ids, written, count)
+                child, first, count, height = np.int32(-1), np.int32(written), size, np.int32(0)
+                place = place_of[top]
         if top == np.uint64(0):
             break
         # It is a right child: keep it, and turn to the left one.

@@ -12,7 +12,7 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
-from mibvh.builders.radix import argsort_keys
+from mibvh.builders.radix import sort_keys
 from mibvh.builders.registry import Context, Options, builder
 from mibvh.triangles import Triangles
 
@@ -20,25 +20,26 @@ from mibvh.triangles import Triangles
 @njit
 def morton_codes(lower, upper):
     """(R,) uint64: 63-bit Morton codes of the box centres within the box of all centres."""
-    n = len(lower)
-    low = np.full(3, np.inf, np.float32)
-    high = np.full(3, -np.inf, np.float32)
-    for i in range(n):
-        for k in range(3):
-            c = lower[i, k] + upper[i, k]
-            low[k] = min(low[k], c)
-            high[k] = max(high[k], c)
+    n = np.uint64(len(lower))
+    low = np.empty(3, np.float32)
     scale = np.zeros(3, np.float64)
-    for k in range(3):
-        if high[k] > low[k]:
-            scale[k] = 2097151.999 / (np.float64(high[k]) - np.float64(low[k]))
+    for k in range(np.uint64(3)):
+        least, most = np.float32(np.inf), np.float32(-np.inf)
+        for i in range(n):
+            c = lower[i, k] + upper[i, k]
+            least = c if c < least else least
+            most = c if c > most else most
+        low[k] = least
+        if most > least:
+            scale[k] = 2097151.999 / (np.float64(most) - np.float64(least))
+    x0, y0, z0 = np.float64(low[0]), np.float64(low[1]), np.float64(low[2])
+    sx, sy, sz = scale[0], scale[1], scale[2]
     codes = np.empty(n, np.uint64)
     for i in range(n):
-        code = np.uint64(0)
-        for k in range(3):
-            c = np.float64(lower[i, k] + upper[i, k]) - np.float64(low[k])
-            code |= _spread(np.uint64(c * scale[k])) << np.uint64(2 - k)
-        codes[i] = code
+        x = np.uint64(np.int64((np.float64(lower[i, 0] + upper[i, 0]) - x0) * sx))
+        y = np.uint64(np.int64((np.float64(lower[i, 1] + upper[i, 1]) - y0) * sy))
+        z = np.uint64(np.int64((np.float64(lower[i, 2] + upper[i, 2]) - z0) * sz))
+        codes[i] = _spread(x) << np.uint64(2) | _spread(y) << np.uint64(1) | _spread(z)
     return codes
 
 
@@ -49,73 +50,83 @@ def _spread(x):
     x = (x | (x << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)
     x = (x | (x << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
     x = (x | (x << np.uint64(4))) & np.uint64(0x10C30C30C30C30C3)
-    x = (x | (x << np.uint64(2))) & np.uint64(0x1249249249249249)
-    return x
+    return (x | (x << np.uint64(2))) & np.uint64(0x1249249249249249)
 
 
 @njit
 def _radix_tree(codes, order):
-    """The binary radix tree over sorted codes, in one pass.
+    """Make the binary radix tree over sorted codes, in one pass.
 
     The split between neighbours i and i + 1 stands the higher, the higher the bit in which
     their codes differ (equal codes: their indices), so the tree is the Cartesian tree of
     those differences, built with a stack of the nodes on its right border.
+
+    Parameters
+    ----------
+    codes : (N,) uint64
+        Sorted.
+    order : (N,) int32
+        The reference of each code.
     """
     n = len(order)
     nodes = 2 * n - 1
-    left = np.full(nodes, -1, np.int32)
-    right = np.full(nodes, -1, np.int32)
-    reference = np.full(nodes, -1, np.int32)
-    if n == 1:
-        reference[0] = order[0]
-        return left, right, reference
-    # Inner node of split i is i + 1 (node 0 is kept for the root), leaf i is n + i.
-    border = np.empty(n, np.int32)
+    left = np.empty(nodes, np.int32)
+    right = np.empty(nodes, np.int32)
+    reference = np.empty(nodes, np.int32)
+    # The inner node of split i is node i, leaf i is node n - 1 + i.
+    left[n - 1 :] = -1
+    right[n - 1 :] = -1
+    reference[: n - 1] = -1
+    reference[n - 1 :] = order
+    border = np.empty(n, np.uint64)
     key_high = np.empty(n, np.uint64)
     key_low = np.empty(n, np.uint64)
-    top = 0
-    for i in range(n - 1):
-        a, b = codes[order[i]], codes[order[i + 1]]
-        high = a ^ b
-        low = np.uint64(i) ^ np.uint64(i + 1)
-        last = np.int32(n - 1 + i)  # the subtree that ends at leaf i
-        # A subtree of the border is complete where the new split stands higher. Highest
-        # differing bits are compared without finding them: x stands below y if x < y and
-        # x < (x ^ y).
-        while top > 0 and _below(key_high[top - 1], key_low[top - 1], high, low):
-            top -= 1
+    one, top = np.uint64(1), np.uint64(0)
+    for i in range(np.uint64(n - 1)):
+        high = codes[i] ^ codes[i + one]
+        low = i ^ (i + one)
+        last = np.int32(i + np.uint64(n - 1))  # the subtree that ends at leaf i
+        # A subtree of the border is complete where the new split stands higher.
+        while top > np.uint64(0) and _below(key_high[top - one], key_low[top - one], high, low):
+            top -= one
             right[border[top]] = last
-            last = border[top]
-        node = np.int32(i)
-        left[node] = last
-        border[top], key_high[top], key_low[top] = node, high, low
-        top += 1
-    last = np.int32(2 * n - 2)
-    while top > 0:
-        top -= 1
+            last = np.int32(border[top])
+        left[i] = last
+        border[top], key_high[top], key_low[top] = i, high, low
+        top += one
+    last = np.int32(nodes - 1)
+    while top > np.uint64(0):
+        top -= one
         right[border[top]] = last
-        last = border[top]
-    for i in range(n):
-        reference[n - 1 + i] = order[i]
-    # Bring the root to node 0 by exchanging names with the node that is there.
+        last = np.int32(border[top])
+    # Bring the root to node 0 by exchanging names with split 0, which is the last inner node
+    # on the way from the root to the left.
     root = last
     if root != 0:
+        node = root
+        while left[node] != 0:
+            node = left[node]
+        left[node] = root
         left[0], left[root] = left[root], left[0]
         right[0], right[root] = right[root], right[0]
-        for node in range(n - 1):
-            if left[node] == 0:
-                left[node] = root
-            elif right[node] == 0:
-                right[node] = root
     return left, right, reference
 
 
 @njit
 def _below(a_high, a_low, b_high, b_low):
-    """Whether the highest set bit of a is below that of b (128-bit values)."""
+    """Whether the highest set bit of a is below that of b (128-bit values).
+
+    Found without finding the bits: so it is if a < b and a < (a ^ b).
+    """
     if a_high | b_high:
         return a_high < b_high and a_high < (a_high ^ b_high)
     return a_low < b_low and a_low < (a_low ^ b_low)
+
+
+def radix_draft(references: References) -> Draft:
+    """Build the Morton tree over given references, split ones included."""
+    codes = morton_codes(references.lower, references.upper)
+    return Draft(references, *_radix_tree(*sort_keys(codes, 63)))
 
 
 @builder(
@@ -125,7 +136,4 @@ def _below(a_high, a_low, b_high, b_low):
 )
 def lbvh(triangles: Triangles, options: Options, context: Context) -> Draft:
     """Build the Morton tree; O(n) after one radix sort."""
-    refs = References.of(triangles)
-    codes = morton_codes(refs.lower, refs.upper)
-    order = argsort_keys(codes, 63)
-    return Draft(refs, *_radix_tree(codes, order))
+    return radix_draft(References.of(triangles))

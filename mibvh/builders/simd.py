@@ -53,6 +53,15 @@ def _pick(build: Any, vector: Any, lane: int) -> Any:
     return build.extract_element(vector, _constant(lane))
 
 
+def _corners(build: Any, box: Any) -> list[Any]:
+    """Lower and minus upper corner, as four lanes each (the last repeats z)."""
+    lanes = ir.VectorType(_INT, 4)
+    return [
+        build.shuffle_vector(box, box, ir.Constant(lanes, [base, base + 1, base + 2, base + 2]))
+        for base in (0, 4)
+    ]
+
+
 @intrinsic
 def load(typing: Any, array: Any, row: Any) -> Any:
     """Row of an (N, 8) float32 array."""
@@ -139,8 +148,7 @@ def half_area(typing: Any, box: Any) -> Any:
     """Half the surface area: float32 ``dx * dy + (dx + dy) * dz``."""
 
     def generate(context, build, signature, values):
-        low = build.shuffle_vector(values[0], values[0], ir.Constant(ir.VectorType(_INT, 4), [0, 1, 2, 3]))
-        high = build.shuffle_vector(values[0], values[0], ir.Constant(ir.VectorType(_INT, 4), [4, 5, 6, 7]))
+        low, high = _corners(build, values[0])
         # Minus the extents; the signs cancel in the products.
         extent = build.fadd(low, high)
         x, y, z = (_pick(build, extent, k) for k in range(3))
@@ -156,15 +164,7 @@ def half_area_exact(typing: Any, box: Any) -> Any:
     def generate(context, build, signature, values):
         double = ir.DoubleType()
         low, high = (
-            build.fpext(
-                build.shuffle_vector(
-                    values[0],
-                    values[0],
-                    ir.Constant(ir.VectorType(_INT, 4), [base, base + 1, base + 2, base + 2]),
-                ),
-                ir.VectorType(double, 4),
-            )
-            for base in (0, 4)
+            build.fpext(corner, ir.VectorType(double, 4)) for corner in _corners(build, values[0])
         )
         extent = build.fadd(low, high)
         x, y, z = (_pick(build, extent, k) for k in range(3))
