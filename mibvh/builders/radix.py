@@ -125,6 +125,7 @@ def argsort_keys(keys, bits):
     return sort_keys(keys, bits)[1]
 
 
+@njit
 def float_keys(values):
     """Map float32 to uint32 keys of the same order (minus zero taken as zero).
 
@@ -132,5 +133,10 @@ def float_keys(values):
     ----------
     values : (N,) float32
     """
-    bits = (values + np.float32(0)).view(np.uint32)
-    return bits ^ np.where(bits >> 31, np.uint32(0xFFFFFFFF), np.uint32(0x80000000))
+    bits = (values + np.float32(0)).view(np.int32)
+    keys = np.empty(len(bits), np.uint32)
+    for i in range(len(bits)):
+        # Flip the sign bit of positive numbers, all bits of negative ones.
+        flip = (bits[i] >> np.int32(31)) | np.int32(-0x80000000)
+        keys[i] = np.uint32(bits[i] ^ flip)
+    return keys

@@ -3,108 +3,316 @@
 MacDonald and Booth: *Heuristics for ray tracing using space subdivision* (The Visual
 Computer 1990). Every node tries all splits between neighbours in the order of box centres,
 on all three axes, and takes the one of least ``A_left N_left + A_right N_right`` (ties: the
-most even one, then the lower axis). References are sorted once per axis; each split
-partitions the three lists stably, so that they stay sorted.
+most even one, then the lower axis, then the lower position).
+
+Stages
+------
+1. Sort the references once per axis (:func:`_sort_axes`), by box centre, then by index. The
+   sorted lists hold the boxes themselves, so that everything after reads memory in order.
+2. Sweep each axis (:func:`_sweep`), from both ends to the middle and on to the other ends.
+   A side's ``A N`` only grows with the side, so a sweep ends, and the far splits are out,
+   where one side alone costs more than the best split so far. No split that could win or
+   tie is left out.
+3. Part the three lists stably (:func:`_part`), so that they stay sorted, into a second set
+   of lists; the next level goes the other way.
+4. When there are enough subtrees for all threads, each is built by one thread, with its own
+   ranges of the lists and of the nodes: a range of n references owns 2n - 1 nodes. So the
+   result does not depend on the threads.
 """
 
 from __future__ import annotations
 
+import numba
 import numpy as np
+import numpy.typing as npt
 
 from mibvh._jit import njit
-from mibvh.builders.draft import Draft, References, centers_twice
+from mibvh.builders.draft import Draft, References
 from mibvh.builders.radix import argsort_keys, float_keys
 from mibvh.builders.registry import Context, Options, builder
-from mibvh.triangles import Triangles
+from mibvh.builders.simd import half_area, load, load_corners, nothing, store, union
+from mibvh.triangles import F32, I32, Triangles
+
+#: Subtrees smaller than this are not worth a task of their own.
+_TASK = 4096
+
+#: Tasks per thread, so that uneven ones still add up to even shares.
+_TASKS_PER_THREAD = 16
+
+#: References built between two reports of progress.
+_BATCH = 1_000_000
+
+#: A reference's id stands in the spare lane of its box as the id-th float after one: ids
+#: compare as floats, and no arithmetic meets a denormal number.
+_ID_ZERO = np.int32(0x3F800000)
+
+I64 = npt.NDArray[np.int64]
 
 
 @njit
-def _sweep_axis(order, begin, end, box, right_area, best_cost, best_even, axis, best_axis, best_at):
-    """Try every split of one axis. Returns the best (cost, evenness, axis, position) so far."""
-    n = end - begin
-    inf = np.float32(np.inf)
-    x0, y0, z0, x1, y1, z1 = inf, inf, inf, -inf, -inf, -inf
-    for i in range(n - 1, 0, -1):
-        r = order[begin + i]
-        x0, y0, z0 = min(x0, box[r, 0]), min(y0, box[r, 1]), min(z0, box[r, 2])
-        x1, y1, z1 = max(x1, box[r, 4]), max(y1, box[r, 5]), max(z1, box[r, 6])
-        dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
-        right_area[i] = dx * dy + (dx + dy) * dz
-    x0, y0, z0, x1, y1, z1 = inf, inf, inf, -inf, -inf, -inf
-    for i in range(n - 1):
-        r = order[begin + i]
-        x0, y0, z0 = min(x0, box[r, 0]), min(y0, box[r, 1]), min(z0, box[r, 2])
-        x1, y1, z1 = max(x1, box[r, 4]), max(y1, box[r, 5]), max(z1, box[r, 6])
-        dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
-        area = dx * dy + (dx + dy) * dz
-        cost = area * np.float32(i + 1) + right_area[i + 1] * np.float32(n - i - 1)
-        if cost <= best_cost:
-            even = abs(2 * (i + 1) - n)
-            if cost < best_cost or even < best_even:
-                best_cost, best_even, best_axis, best_at = cost, even, axis, i + 1
-    return best_cost, best_even, best_axis, best_at
+def _sort_axis(lower, upper, axis, lists):
+    """Fill the first list of one axis: the references' boxes by centre, then by index."""
+    n = len(lower)
+    # Twice the centre, that is.
+    centers = lower[:, axis] + upper[:, axis]
+    order = argsort_keys(float_keys(centers), 32)
+    ids = lists.view(np.int32)
+    first = np.uint64(axis * n)
+    for i in range(np.uint64(n)):
+        store(lists, first + i, load_corners(lower, upper, np.uint64(order[i])))
+        ids[first + i, 3] = order[i] + _ID_ZERO
+
+
+@njit(parallel=True)
+def _sort_axes(lower, upper, lists):
+    """Fill the first set of lists."""
+    for axis in numba.prange(3):
+        _sort_axis(lower, upper, axis, lists)
 
 
 @njit
-def _partition(order, begin, end, is_left, buffer):
-    """Stable partition: the marked references first."""
-    a, b = begin, 0
-    for i in range(begin, end):
-        r = order[i]
-        if is_left[r]:
-            order[a] = r
-            a += 1
-        else:
-            buffer[b] = r
-            b += 1
-    for i in range(b):
-        order[a + i] = buffer[i]
+def _better(cost, even, axis, at, best):
+    """Whether a split of no greater cost than the best goes before it."""
+    best_cost, best_even, best_axis, best_at = best
+    if cost != best_cost or even != best_even:
+        return cost < best_cost or even < best_even
+    return axis < best_axis or (axis == best_axis and at < best_at)
 
 
 @njit
-def _build(box, order0, order1, order2):
-    """The whole tree. A range of n references owns 2n - 1 consecutive nodes."""
-    n = len(order0)
-    left = np.full(2 * n - 1, -1, np.int32)
-    right = np.full(2 * n - 1, -1, np.int32)
-    reference = np.full(2 * n - 1, -1, np.int32)
-    is_left = np.zeros(n, np.bool_)
-    buffer = np.empty(n, np.int32)
-    right_area = np.empty(n + 1, np.float32)
-    stack = np.empty((n + 1, 3), np.int32)
-    stack[0, 0], stack[0, 1], stack[0, 2] = 0, n, 0
+def _sweep(lists, first, n, axis, best, areas):
+    """Try the splits of one axis.
+
+    Parameters
+    ----------
+    lists : (6 N, 8) float32
+        The boxes.
+    first, n : uint64
+        Rows of the node's references, in order along the axis.
+    axis : int
+    best : (cost, unevenness, axis, number of references on the left)
+        The best split of the axes before.
+    areas : (N,) float32
+        Scratch: for each split, the area of the side that has been swept.
+
+    Returns
+    -------
+    tuple
+        The best split so far.
+    """
+    one = np.uint64(1)
+    middle = n >> one
+    least = best[0]
+    # Right sides, shrinking splits from the right end to the middle: splits up to
+    # `left_out` are found to be too dear.
+    right = nothing()
+    left_out = np.uint64(0)
+    at = n
+    while at > middle:
+        at -= one
+        right = union(right, load(lists, first + at))
+        area = half_area(right)
+        areas[at] = area
+        if area * np.float32(n - at) > least:
+            left_out = at
+            break
+    # Left sides, from the left end to before the middle: splits from `right_out` on are out.
+    left = nothing()
+    right_out = n
+    for at in range(one, middle):
+        left = union(left, load(lists, first + at - one))
+        area = half_area(left)
+        areas[at] = area
+        if area * np.float32(at) > least:
+            right_out = at
+            break
+    # On to the right: the left sides of the splits whose right sides are known.
+    if right_out == n:
+        at = middle
+        while at <= left_out:
+            left = union(left, load(lists, first + at - one))
+            at += one
+        while at < n:
+            left = union(left, load(lists, first + at - one))
+            cost = half_area(left) * np.float32(at)
+            if cost > least:
+                break
+            cost += areas[at] * np.float32(n - at)
+            if cost <= least:
+                even = abs(np.int64(n) - np.int64(at + at))
+                if _better(cost, even, axis, np.int64(at), best):
+                    best = (cost, even, axis, np.int64(at))
+                    least = cost
+            at += one
+    # On to the left, likewise.
+    if left_out == np.uint64(0):
+        at = middle
+        while at > right_out:
+            at -= one
+            right = union(right, load(lists, first + at))
+        while at > one:
+            at -= one
+            right = union(right, load(lists, first + at))
+            cost = half_area(right) * np.float32(n - at)
+            if cost > least:
+                break
+            cost = areas[at] * np.float32(at) + cost
+            if cost <= least:
+                even = abs(np.int64(n) - np.int64(at + at))
+                if _better(cost, even, axis, np.int64(at), best):
+                    best = (cost, even, axis, np.int64(at))
+                    least = cost
+    return best
+
+
+@njit
+def _best_split(lists, first, total, n, areas):
+    """Sweep the three axes, that of the farthest centres first: it bounds the others best."""
+    widest, width = 0, np.float32(-1)
+    for axis in range(3):
+        row = first + np.uint64(axis) * total
+        end = row + n - np.uint64(1)
+        extent = (lists[end, axis] - lists[end, axis + 4]) - (
+            lists[row, axis] - lists[row, axis + 4]
+        )
+        if extent > width:
+            widest, width = axis, extent
+    best = (np.float32(np.inf), np.int64(n), 3, np.int64(0))
+    best = _sweep(lists, first + np.uint64(widest) * total, n, widest, best, areas)
+    for axis in range(3):
+        if axis != widest:
+            best = _sweep(lists, first + np.uint64(axis) * total, n, axis, best, areas)
+    return best
+
+
+@njit
+def _part(lists, source, target, total, n, axis, at, axes):
+    """Write the lists of a node to the other set, those left of the split first.
+
+    The last reference on the left is the bound: left is what does not come behind it.
+    """
+    bound_row = source + np.uint64(axis) * total + at - np.uint64(1)
+    bound = lists[bound_row, axis] - lists[bound_row, axis + 4]
+    bound_id = lists[bound_row, 3]
+    one = np.uint64(1)
+    for k in range(np.uint64(axes)):
+        row, left = source + k * total, target + k * total
+        if k == axis:
+            for i in range(n):
+                store(lists, left + i, load(lists, row + i))
+            continue
+        right = left + at
+        for end in range(row, row + n):
+            center = lists[end, axis] - lists[end, axis + 4]
+            is_left = center < bound or (center == bound and lists[end, 3] <= bound_id)
+            store(lists, left if is_left else right, load(lists, end))
+            step = np.uint64(is_left)
+            left += step
+            right += one - step
+
+
+@njit
+def _split(lists, total, task, areas, links, children):
+    """Split one node; write its two children, as tasks, into ``children``."""
+    begin, n, node, side = task[0], task[1], task[2], task[3]
+    source = np.uint64(begin + 3 * total * side)
+    target = np.uint64(begin + 3 * total * (1 - side))
+    rows, count = np.uint64(total), np.uint64(n)
+    _, _, axis, at = _best_split(lists, source, rows, count, areas)
+    # Of nodes of one or two references, only the first list is read.
+    axes = 1 if at <= 2 and n - at <= 2 else 3
+    _part(lists, source, target, rows, count, axis, np.uint64(at), axes)
+    left, right, reference = links
+    left[node], right[node], reference[node] = node + 1, node + 2 * at, -1
+    children[0, 0], children[0, 1], children[0, 2], children[0, 3] = begin, at, node + 1, 1 - side
+    children[1, 0], children[1, 1] = begin + at, n - at
+    children[1, 2], children[1, 3] = node + 2 * at, 1 - side
+
+
+@njit
+def _leaf(links, node, reference):
+    links[0][node], links[1][node], links[2][node] = -1, -1, reference
+
+
+@njit
+def _subtree(lists, total, task, links):
+    """Build all below one node."""
+    ids = lists.view(np.int32)
+    areas = np.empty(task[1], np.float32)
+    # The smaller child goes first, so that few wait.
+    stack = np.empty((64, 4), np.int64)
+    children = np.empty((2, 4), np.int64)
+    stack[0] = task
     top = 1
     while top > 0:
         top -= 1
-        begin, end, node = stack[top, 0], stack[top, 1], stack[top, 2]
-        if end - begin == 1:
-            reference[node] = order0[begin]
-            continue
-        cost, even, axis, at = np.float32(np.inf), end - begin + 1, 0, 1
-        cost, even, axis, at = _sweep_axis(
-            order0, begin, end, box, right_area, cost, even, 0, axis, at
-        )
-        cost, even, axis, at = _sweep_axis(
-            order1, begin, end, box, right_area, cost, even, 1, axis, at
-        )
-        cost, even, axis, at = _sweep_axis(
-            order2, begin, end, box, right_area, cost, even, 2, axis, at
-        )
-        chosen = order0 if axis == 0 else (order1 if axis == 1 else order2)
-        for i in range(begin, end):
-            is_left[chosen[i]] = i < begin + at
-        if axis != 0:
-            _partition(order0, begin, end, is_left, buffer)
-        if axis != 1:
-            _partition(order1, begin, end, is_left, buffer)
-        if axis != 2:
-            _partition(order2, begin, end, is_left, buffer)
-        left[node] = node + 1
-        right[node] = node + 2 * at
-        stack[top, 0], stack[top, 1], stack[top, 2] = begin + at, end, node + 2 * at
-        stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2] = begin, begin + at, node + 1
-        top += 2
-    return left, right, reference
+        begin, n, node, side = stack[top]
+        row = begin + 3 * total * side
+        if n == 1:
+            _leaf(links, node, ids[row, 3] - _ID_ZERO)
+        elif n == 2:
+            # All splits are equal, so the lowest axis decides.
+            links[0][node], links[1][node], links[2][node] = node + 1, node + 2, -1
+            _leaf(links, node + 1, ids[row, 3] - _ID_ZERO)
+            _leaf(links, node + 2, ids[row + 1, 3] - _ID_ZERO)
+        else:
+            _split(lists, total, stack[top], areas, links, children)
+            small = 0 if children[0, 1] <= children[1, 1] else 1
+            stack[top] = children[1 - small]
+            stack[top + 1] = children[small]
+            top += 2
+
+
+@njit(parallel=True)
+def _split_all(lists, total, tasks, starts, links, children):
+    """Split each task once; thread g takes the tasks from ``starts[g]`` to ``starts[g + 1]``."""
+    for g in numba.prange(len(starts) - 1):
+        for i in range(starts[g], starts[g + 1]):
+            areas = np.empty(tasks[i, 1], np.float32)
+            _split(lists, total, tasks[i], areas, links, children[i])
+
+
+@njit(parallel=True)
+def _build_all(lists, total, tasks, starts, links):
+    """Build the subtree of each task; thread g takes those from ``starts[g]`` on."""
+    for g in numba.prange(len(starts) - 1):
+        for i in range(starts[g], starts[g + 1]):
+            _subtree(lists, total, tasks[i], links)
+
+
+def _shares(tasks: I64) -> tuple[I64, I64]:
+    """Order tasks into one run per thread: the largest first, each to who has least so far."""
+    threads = numba.get_num_threads()
+    load = [0] * threads
+    share: list[list[int]] = [[] for _ in range(threads)]
+    for i in np.argsort(-tasks[:, 1], kind="stable").tolist():
+        thread = load.index(min(load))
+        load[thread] += int(tasks[i, 1])
+        share[thread].append(i)
+    starts = np.cumsum([0] + [len(s) for s in share])
+    return tasks[np.concatenate(share).astype(np.int64)], starts
+
+
+def _build(lists: F32, links: tuple[I32, I32, I32], context: Context) -> None:
+    """Build the tree: level by level at the top, then subtree by subtree."""
+    total = len(lists) // 6
+    limit = max(total // (_TASKS_PER_THREAD * numba.get_num_threads()), _TASK)
+    tasks = np.array([[0, total, 0, 0]], np.int64)
+    ready = []
+    while len(tasks):
+        ready.append(tasks[tasks[:, 1] <= limit])
+        tasks, starts = _shares(tasks[tasks[:, 1] > limit])
+        children = np.empty((len(tasks), 2, 4), np.int64)
+        if len(tasks):
+            _split_all(lists, total, tasks, starts, links, children)
+        tasks = children.reshape(-1, 4)
+    tasks = np.concatenate(ready)
+    tasks = tasks[np.argsort(-tasks[:, 1], kind="stable")]
+    batches = -(-total // _BATCH)
+    for batch in range(batches):
+        context.progress("sweep", batch / batches)
+        if len(part := tasks[batch::batches]):
+            _build_all(lists, total, *_shares(part), links)
 
 
 @builder(
@@ -115,9 +323,9 @@ def _build(box, order0, order1, order2):
 def bbvh(triangles: Triangles, options: Options, context: Context) -> Draft:
     """Build the full-sweep SAH tree; O(n log n)."""
     refs = References.of(triangles)
-    centers = centers_twice(refs)
-    orders = [argsort_keys(float_keys(centers[:, k]), 32) for k in range(3)]
-    box = np.zeros((len(refs), 8), np.float32)
-    box[:, 0:3] = refs.lower
-    box[:, 4:7] = refs.upper
-    return Draft(refs, *_build(box, *orders))
+    lists = np.empty((6 * len(refs), 8), np.float32)
+    context.progress("sort", 0.0)
+    _sort_axes(refs.lower, refs.upper, lists)
+    links = tuple(np.empty(2 * len(refs) - 1, np.int32) for _ in range(3))
+    _build(lists, links, context)
+    return Draft(refs, *links)
