@@ -119,6 +119,10 @@ _BUNDLED: dict[str, str] = {
     "bbvh": "mibvh.builders.sweep",
     "agglo": "mibvh.builders.agglomerative",
     "lbvh": "mibvh.builders.morton",
+    "hill": "mibvh.builders.rotations",
+    "anneal": "mibvh.builders.rotations",
+    "treelet": "mibvh.builders.treelet",
+    "streelet": "mibvh.builders.treelet",
 }
 _registered: dict[str, Builder] = {}
 

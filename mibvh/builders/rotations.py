@@ -35,7 +35,7 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft
-from mibvh.builders.finish import _preorder, draft_boxes, draft_sah
+from mibvh.builders.finish import draft_sah
 from mibvh.builders.registry import Context, Options, builder, option
 from mibvh.triangles import F32, I32, Triangles
 
@@ -55,8 +55,7 @@ _CHANGED = np.uint8(4)  # it was rotated in this sweep, which its parent must he
 
 @njit
 def box_area(box, a):
-    """Half the surface area of a node's box, in float64 (of the float32 box: no rounding
-    worth a thought)."""
+    """Half the surface area of a node's box, in float64."""
     x = np.float64(box[a, 3]) - np.float64(box[a, 0])
     y = np.float64(box[a, 4]) - np.float64(box[a, 1])
     z = np.float64(box[a, 5]) - np.float64(box[a, 2])
@@ -84,56 +83,60 @@ def _fit(left, right, box, node):
 @njit
 def rotation_change(left, right, box, node, kind):
     """By how much a rotation changes the sum of inner areas; inf if there is no such one."""
-    l, r = left[node], right[node]
+    a, b = left[node], right[node]
     if kind < 2:
-        if left[r] < 0:
+        if left[b] < 0:
             return np.inf
-        stays = right[r] if kind == 0 else left[r]
-        return _union_area(box, l, stays) - box_area(box, r)
+        stays = right[b] if kind == 0 else left[b]
+        return _union_area(box, a, stays) - box_area(box, b)
     if kind < 4:
-        if left[l] < 0:
+        if left[a] < 0:
             return np.inf
-        stays = right[l] if kind == 2 else left[l]
-        return _union_area(box, r, stays) - box_area(box, l)
-    if left[l] < 0 or left[r] < 0:
+        stays = right[a] if kind == 2 else left[a]
+        return _union_area(box, b, stays) - box_area(box, a)
+    if left[a] < 0 or left[b] < 0:
         return np.inf
-    goes, stays = (right[r], left[r]) if kind == 4 else (left[r], right[r])
-    after = _union_area(box, goes, right[l]) + _union_area(box, left[l], stays)
-    return after - (box_area(box, l) + box_area(box, r))
+    goes, stays = (right[b], left[b]) if kind == 4 else (left[b], right[b])
+    after = _union_area(box, goes, right[a]) + _union_area(box, left[a], stays)
+    return after - (box_area(box, a) + box_area(box, b))
 
 
 @njit
 def rotate(left, right, box, node, kind):
     """Do one rotation, and fit the boxes of the children that it touches."""
-    l, r = left[node], right[node]
+    a, b = left[node], right[node]
     if kind == 0:
-        left[node], left[r] = left[r], l
+        left[node], left[b] = left[b], a
     elif kind == 1:
-        left[node], right[r] = right[r], l
+        left[node], right[b] = right[b], a
     elif kind == 2:
-        right[node], left[l] = left[l], r
+        right[node], left[a] = left[a], b
     elif kind == 3:
-        right[node], right[l] = right[l], r
+        right[node], right[a] = right[a], b
     elif kind == 4:
-        left[l], right[r] = right[r], left[l]
+        left[a], right[b] = right[b], left[a]
     else:
-        left[l], left[r] = left[r], left[l]
+        left[a], left[b] = left[b], left[a]
     if kind < 2 or kind > 3:
-        _fit(left, right, box, r)
+        _fit(left, right, box, b)
     if kind > 1:
-        _fit(left, right, box, l)
+        _fit(left, right, box, a)
 
 
 @njit
-def _hill_sweep(left, right, box, state, stack):
-    """One sweep of hill climbing, bottom-up. Returns the rotations done and what they gained.
+def _hill_chunk(left, right, box, state, stack, top, steps):
+    """Go on with a sweep of hill climbing, bottom-up, for at most so many steps.
 
-    Nodes are only looked at where something has changed since they were last found to have
-    no rotation to offer: the outcome is that of looking at all of them.
+    A sweep begins with the root alone on the stack and ends when the stack is empty. Nodes
+    are only looked at where something has changed since they were last found to have no
+    rotation to offer: the outcome is that of looking at all of them.
+
+    Returns the new top of the stack and the number of rotations done.
     """
-    done, gained = 0, 0.0
-    stack[0], top = 0, 1
-    while top > 0:
+    done = 0
+    for _ in range(steps):
+        if top == 0:
+            break
         top -= 1
         node = stack[top]
         if node >= 0:  # on the way down: come back to the node (~node) after its children
@@ -145,10 +148,10 @@ def _hill_sweep(left, right, box, state, stack):
                     top += 1
             continue
         node = ~node
-        l, r = left[node], right[node]
-        dirty = (state[node] & _DIRTY) | ((state[l] | state[r]) & _CHANGED)
-        state[l] &= ~_CHANGED
-        state[r] &= ~_CHANGED
+        a, b = left[node], right[node]
+        dirty = (state[node] & _DIRTY) | ((state[a] | state[b]) & _CHANGED)
+        state[a] &= ~_CHANGED
+        state[b] &= ~_CHANGED
         own = np.uint8(0)
         if dirty:
             best, kind = -_LEAST * box_area(box, node), -1
@@ -159,16 +162,14 @@ def _hill_sweep(left, right, box, state, stack):
             if kind >= 0:
                 rotate(left, right, box, node, kind)
                 done += 1
-                gained -= best
                 own = _DIRTY | _CHANGED
                 # What now hangs below the touched children may hold dirty nodes.
                 if kind < 2 or kind > 3:
-                    state[r] = _DIRTY | _below(left, right, state, r)
+                    state[b] = _DIRTY | _below(left, right, state, b)
                 if kind > 1:
-                    state[l] = _DIRTY | _below(left, right, state, l)
+                    state[a] = _DIRTY | _below(left, right, state, a)
         state[node] = own | _below(left, right, state, node)
-    state[0] &= ~_CHANGED
-    return done, gained
+    return top, done
 
 
 @njit
@@ -187,7 +188,7 @@ def _mix(x):
 
 
 @njit
-def _anneal_chunk(left, right, box, begin, end, key, temperature, exponential):
+def _anneal_chunk(left, right, box, begin, end, seed, sweep, temperature, exponential):
     """Propose one random rotation at each inner node from ``begin`` to ``end``.
 
     With u uniform, ``u < exp(-change / T)`` says the same as ``change < T * -log(u)``;
@@ -195,6 +196,7 @@ def _anneal_chunk(left, right, box, begin, end, key, temperature, exponential):
     Returns the rotations done and the change of the sum of areas.
     """
     done, changed = 0, 0.0
+    key = _mix(_mix(seed) + sweep)
     for node in range(begin, end):
         if left[node] < 0:
             continue
@@ -218,41 +220,175 @@ def inner_area(left, box):
     return total
 
 
+@njit
+def _lay_out(left, right, reference, lower, upper):
+    nodes = len(left)
+    new_left = np.full(nodes, -1, np.int32)
+    new_right = np.full(nodes, -1, np.int32)
+    new_reference = np.full(nodes, -1, np.int32)
+    count = np.ones(nodes, np.int32)
+    box = np.empty((nodes, 6), np.float32)
+    stack = np.empty((nodes // 2 + 1, 2), np.int32)  # nodes, and whose right children they are
+    stack[0, 0], stack[0, 1], top = 0, -1, 1
+    place = 0
+    while top > 0:
+        top -= 1
+        node = stack[top, 0]
+        if stack[top, 1] >= 0:
+            new_right[stack[top, 1]] = place
+        while left[node] >= 0:
+            stack[top, 0], stack[top, 1] = right[node], place
+            top += 1
+            new_left[place] = place + 1
+            node = left[node]
+            place += 1
+        new_reference[place] = reference[node]
+        place += 1
+    for node in range(nodes - 1, -1, -1):
+        if new_left[node] < 0:
+            for k in range(3):
+                box[node, k] = lower[new_reference[node], k]
+                box[node, k + 3] = upper[new_reference[node], k]
+        else:
+            count[node] = count[new_left[node]] + count[new_right[node]]
+            _fit(new_left, new_right, box, node)
+    return new_left, new_right, new_reference, count, box
+
+
 def depth_first(draft: Draft) -> tuple[I32, I32, I32, I32, F32]:
     """Lay a draft out depth-first, so that what is near in the tree is near in memory.
 
     Returns
     -------
     left, right, reference, count : (2R - 1,) int32
-        The draft, and the number of references below each node.
+        The draft, parents before children, and the number of references below each node.
     box : (2R - 1, 6) float32
         Boxes of the nodes, lower corner then upper, in builder units.
     """
-    order, leaf_order, _, first, count = _preorder(draft.left, draft.right, draft.reference)
-    inner = count > 1
-    left = np.where(inner, np.arange(1, len(count) + 1, dtype=np.int32), np.int32(-1))
-    right = np.where(inner, left + 2 * np.roll(count, -1) - 1, np.int32(-1)).astype(np.int32)
-    reference = np.where(inner, np.int32(-1), leaf_order[first])
-    return left, right, reference, count, draft_boxes(draft)[order]
+    refs = draft.references
+    return _lay_out(draft.left, draft.right, draft.reference, refs.lower, refs.upper)
 
 
-def climb(left: I32, right: I32, box: F32, sweeps: int, context: Context) -> dict[str, int]:
-    """Hill climbing in place, to a local minimum or for so many sweeps.
+def climb(left: I32, right: I32, box: F32, most: int, context: Context) -> tuple[int, int]:
+    """Hill climbing in place, to a local minimum or for ``most`` sweeps.
 
     Returns
     -------
-    dict
-        ``sweeps`` and ``rotations`` done.
+    sweeps, rotations : int
+        How many were done; the last sweep did none unless there were ``most``.
     """
-    inner = left >= 0
-    state = np.where(inner, _DIRTY | _BELOW, np.uint8(0))
-    stack = np.empty(len(left) + 2, np.int32)
-    rotations = 0
-    for sweep in range(1, sweeps + 1):
-        done, _ = _hill_sweep(left, right, box, state, stack)
-        rotations += done
-        # Every sweep does about half the rotations of the one before.
-        context.progress("hill climbing", 1.0 if done == 0 else 1.0 - 1.0 / (sweep + 1))
-        if done == 0:
+    state = np.where(left >= 0, _DIRTY | _BELOW, np.uint8(0))
+    stack = np.zeros(len(left) + 2, np.int32)
+    sweeps = rotations = 0
+    while sweeps < most and len(left) > 1:
+        stack[0], top, turned = 0, 1, 0
+        while top > 0:
+            top, done = _hill_chunk(left, right, box, state, stack, top, _CHUNK)
+            turned += done
+            context.progress("hill climbing", 1.0 - 1.0 / (sweeps + 2))
+        sweeps += 1
+        rotations += turned
+        if turned == 0:
             break
-    return {"sweeps": sweep, "rotations": rotations}
+    context.progress("hill climbing", 1.0)
+    return sweeps, rotations
+
+
+def _judge(start: Draft, end: Draft, options: Options, report: dict[str, Any]) -> Draft:
+    """Return the better one of two drafts after the collapse, with a report on both."""
+    costs = {"c_inner": options.c_inner, "c_tri": options.c_tri, "max_leaf": options.max_leaf}
+    start_sah, end_sah = draft_sah(start, **costs), draft_sah(end, **costs)
+    better = end if end_sah <= start_sah else start
+    report = {"start_sah": start_sah, "end_sah": min(start_sah, end_sah), **report}
+    return dataclasses.replace(better, report=report)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class HillOptions(Options):
+    """What `hill` takes."""
+
+    start: str = option("bbvh", "builder of the tree to start from")
+    sweeps: int = option(1000, "stop after so many sweeps, local minimum or not", 0, 1_000_000)
+
+
+@builder(
+    "hill",
+    summary="tree rotations by hill climbing: the best of six at each node, to a local minimum",
+    source="Kensler 2008",
+    options=HillOptions,
+)
+def hill(triangles: Triangles, options: HillOptions, context: Context) -> Draft:
+    """Rotate until no rotation lowers SAH."""
+    start = context.start(triangles, options.start, options)
+    left, right, reference, _, box = depth_first(start)
+    sweeps, rotations = climb(left, right, box, options.sweeps, context)
+    end = Draft(start.references, left, right, reference)
+    report = {"start": options.start, "iterations": sweeps, "rotations": rotations}
+    return _judge(start, end, options, report)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AnnealOptions(Options):
+    """What `anneal` takes."""
+
+    start: str = option("bbvh", "builder of the tree to start from")
+    seed: int = option(0, "random numbers; another seed gives another tree", 0, 2**63 - 1)
+    sweeps: int = option(400, "sweeps of annealing; more find better trees", 0, 1_000_000)
+    hot: float = option(
+        0.1, "first temperature, in mean inner areas; hotter forgets more of the start", 0.0, 1e6
+    )
+    cold: float = option(1e-4, "last temperature, in mean inner areas", 0.0, 1e6)
+
+
+@builder(
+    "anneal",
+    summary="random tree rotations by simulated annealing, ended by hill climbing",
+    source="Kensler 2008",
+    options=AnnealOptions,
+)
+def anneal(triangles: Triangles, options: AnnealOptions, context: Context) -> Draft:
+    """Rotate at random while the temperature falls, then climb from the best tree seen."""
+    start = context.start(triangles, options.start, options)
+    left, right, reference, _, box = depth_first(start)
+    area = inner_area(left, box)
+    mean = area / max(len(left) // 2, 1)
+    # Quantiles of the exponential distribution; float32, so that the last bit of
+    # somebody's logarithm decides nothing.
+    exponential = -np.log((np.arange(4096) + 0.5) / 4096).astype(np.float32)
+    best, best_left, best_right = area, left.copy(), right.copy()
+    accepted = 0
+    for sweep in range(options.sweeps):
+        done = sweep / max(options.sweeps - 1, 1)
+        temperature = mean * options.hot ** (1.0 - done) * options.cold**done
+        for begin in range(0, len(left), _CHUNK):
+            taken, change = _anneal_chunk(
+                left,
+                right,
+                box,
+                begin,
+                min(begin + _CHUNK, len(left)),
+                np.uint64(options.seed),
+                np.uint64(sweep),
+                temperature,
+                exponential,
+            )
+            accepted += taken
+            area += change
+            context.progress("annealing", (sweep + begin / len(left)) / options.sweeps)
+        if area < best:
+            best = area
+            best_left[:], best_right[:] = left, right
+    found = Draft(start.references, best_left, best_right, reference)
+    left, right, reference, _, box = depth_first(found)
+    sweeps, rotations = climb(left, right, box, HillOptions.sweeps, context)
+    end = Draft(start.references, left, right, reference)
+    scale = options.c_inner * mean / box_area(box, 0) if area > 0 else 0.0
+    report = {
+        "start": options.start,
+        "iterations": options.sweeps + sweeps,
+        "rotations": accepted + rotations,
+        "temperatures": [scale * options.hot, scale * options.cold],
+        "hill_sweeps": sweeps,
+        "hill_rotations": rotations,
+    }
+    return _judge(start, end, options, report)

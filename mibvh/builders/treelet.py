@@ -27,7 +27,7 @@ The method is covered by US patents 10331632 (treelets) and 9547932 (splitting).
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+import itertools
 
 import numba
 import numpy as np
@@ -35,136 +35,154 @@ import numpy as np
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft
 from mibvh.builders.finish import draft_sah
+from mibvh.builders.morton import radix_draft
 from mibvh.builders.registry import Context, Options, builder, option
 from mibvh.builders.rotations import box_area, depth_first
-from mibvh.triangles import F32, I32, Triangles
+from mibvh.builders.splitting import presplit
+from mibvh.triangles import Triangles
 
 #: References in the subtrees of one parallel step: well under a second of work, so that
 #: progress is shown and Ctrl-C heard.
 _STEP = 1 << 17
+#: Treelets solved side by side.
+_LANES = 8
+
+
+@njit
+def _node_cost(node, left, right, box, count, cost, c_inner, c_tri, max_leaf):
+    """Least cost of a subtree, times its area, from those of its children."""
+    area = box_area(box, node)
+    leaf = c_tri * area * count[node]
+    if left[node] < 0:
+        return leaf
+    inner = c_inner * area + (cost[left[node]] + cost[right[node]])
+    return leaf if count[node] <= max_leaf and leaf <= inner else inner
 
 
 @njit
 def subtree_costs(left, right, box, count, c_inner, c_tri, max_leaf):
-    """(2R - 1,) float64: the least cost of each subtree times its area, after collapse.
+    """(2R - 1,) float64: the least cost of each subtree, times its area, after the collapse.
 
     Nodes must stand behind their parents, as :func:`depth_first` lays them out.
     """
     cost = np.empty(len(left), np.float64)
     for node in range(len(left) - 1, -1, -1):
-        area = box_area(box, node)
-        cost[node] = c_tri * area * count[node]
-        if left[node] >= 0:
-            inner = c_inner * area + (cost[left[node]] + cost[right[node]])
-            if count[node] > max_leaf or inner < cost[node]:
-                cost[node] = inner
+        cost[node] = _node_cost(node, left, right, box, count, cost, c_inner, c_tri, max_leaf)
     return cost
 
 
 @njit
-def _grow(root, size, left, right, box, leaves, inner):
+def _grow(root, size, lane, left, right, box, leaves, inner):
     """Grow a treelet: open the leaf of largest area until there are ``size`` leaves.
 
-    Fills ``leaves`` and ``inner`` (the root first) and returns the number of leaves, which
-    is smaller where nothing is left to open.
+    There must be that many references below the root. Fills column ``lane`` of ``leaves``
+    and of ``inner``, the root first.
     """
     area = np.empty(8, np.float64)
-    inner[0] = root
-    leaves[0], leaves[1] = left[root], right[root]
-    for i in range(2):
-        area[i] = box_area(box, leaves[i]) if left[leaves[i]] >= 0 else -1.0
-    n = 2
-    while n < size:
-        widest = 0
-        for i in range(1, n):
-            if area[i] > area[widest]:
-                widest = i
-        if area[widest] < 0.0:
-            break
-        node = leaves[widest]
-        inner[n - 1] = node
-        for i, child in ((widest, left[node]), (n, right[node])):
-            leaves[i] = child
+    node, place = root, 0
+    for n in range(1, size):
+        inner[n - 1, lane] = node
+        for i, child in ((place, left[node]), (n, right[node])):
+            leaves[i, lane] = child
             area[i] = box_area(box, child) if left[child] >= 0 else -1.0
-        n += 1
-    return n
+        place = 0
+        for i in range(1, n + 1):
+            if area[i] > area[place]:
+                place = i
+        node = leaves[place, lane]
 
 
 @njit
-def _optimise_subsets(n, leaves, box, count, cost, c_inner, c_tri, max_leaf, s_box, s_count, s_cost):
-    """The dynamic programme: box, triangles and least cost of every subset of the leaves.
+def _solve(size, c_inner, c_tri, max_leaf, s_box, s_count, s_cost):
+    """Run the dynamic programme, for eight treelets side by side.
 
-    A subset is a bit mask. Its proper subsets are smaller numbers, so ascending order has
-    them ready. Of a partition in two, one side holds the lowest bit; the other side runs
-    through the non-empty subsets of the rest.
+    Parameters
+    ----------
+    size : int
+        Leaves of a treelet, n.
+    c_inner, c_tri, max_leaf : float, float, int
+        The costs.
+    s_box : (2**n, 6, 8) float32
+        Box of every subset of the leaves; a subset is a bit mask.
+    s_count, s_cost : (2**n, 8) float64
+        Its triangles, and its least cost. All three hold the single leaves already, and
+        this fills in the rest.
     """
-    for i in range(n):
-        s = 1 << i
-        for k in range(6):
-            s_box[s, k] = box[leaves[i], k]
-        s_count[s] = count[leaves[i]]
-        s_cost[s] = cost[leaves[i]]
-    for s in range(3, 1 << n):
-        rest = s & (s - 1)
+    # Unsigned indices, as Numba spends time on negative ones; and a last axis of fixed
+    # length, over which the inner loops become vector instructions.
+    one, lanes = np.uint64(1), np.uint64(_LANES)
+    for s in range(np.uint64(3), one << np.uint64(size)):
+        rest = s & (s - one)
         if rest == 0:
             continue
+        # Proper subsets are smaller numbers, so they are ready.
         low = s ^ rest
-        for k in range(3):
-            s_box[s, k] = min(s_box[low, k], s_box[rest, k])
-            s_box[s, k + 3] = max(s_box[low, k + 3], s_box[rest, k + 3])
-        s_count[s] = s_count[low] + s_count[rest]
-        # Two minima, so that one comparison need not wait for the other. After the first
-        # partition the number of those left is even.
-        even = s_cost[rest] + s_cost[low]
-        odd = even
-        p = (rest - 1) & rest
+        for k in range(np.uint64(3)):
+            for i in range(lanes):
+                a, b = s_box[low, k, i], s_box[rest, k, i]
+                s_box[s, k, i] = a if a < b else b
+        for k in range(np.uint64(3), np.uint64(6)):
+            for i in range(lanes):
+                a, b = s_box[low, k, i], s_box[rest, k, i]
+                s_box[s, k, i] = a if a > b else b
+        for i in range(lanes):
+            s_count[s, i] = s_count[low, i] + s_count[rest, i]
+            s_cost[s, i] = s_cost[low, i] + s_cost[rest, i]
+        # Of a partition in two, one side holds the lowest bit; the other side runs through
+        # the non-empty subsets of the rest.
+        p = (rest - one) & rest
         while p:
-            c = s_cost[p] + s_cost[s ^ p]
-            even = c if c < even else even
-            p = (p - 1) & rest
-            c = s_cost[p] + s_cost[s ^ p]
-            odd = c if c < odd else odd
-            p = (p - 1) & rest
-        area = box_area(s_box, s)
-        best = c_inner * area + (even if even < odd else odd)
-        if s_count[s] <= max_leaf:
-            best = min(best, c_tri * area * s_count[s])
-        s_cost[s] = best
+            q = s ^ p
+            for i in range(lanes):
+                both = s_cost[p, i] + s_cost[q, i]
+                least = s_cost[s, i]
+                s_cost[s, i] = both if both < least else least
+            p = (p - one) & rest
+        for i in range(lanes):
+            x = np.float64(s_box[s, 3, i]) - np.float64(s_box[s, 0, i])
+            y = np.float64(s_box[s, 4, i]) - np.float64(s_box[s, 1, i])
+            z = np.float64(s_box[s, 5, i]) - np.float64(s_box[s, 2, i])
+            area = x * y + (x + y) * z
+            inner = c_inner * area + s_cost[s, i]
+            leaf = c_tri * area * s_count[s, i]
+            s_cost[s, i] = leaf if s_count[s, i] <= max_leaf and leaf <= inner else inner
 
 
 @njit
-def _rebuild(
-    n, leaves, inner, left, right, box, count, cost, s_box, s_count, s_cost, slot, subset
-):
-    """Write the best tree of the treelet into its own inner nodes, root in root."""
-    slot[0], subset[0], top = 0, (1 << n) - 1, 1
+def _rebuild(size, lane, leaves, inner, left, right, box, count, cost, s_box, s_count, s_cost):
+    """Write the best tree of a treelet into its own inner nodes; the root stays the root."""
+    slot = np.empty(8, np.int32)
+    subset = np.empty(8, np.int32)
+    slot[0], subset[0], top = 0, (1 << size) - 1, 1
     used = 1
     while top > 0:
         top -= 1
-        node, s = inner[slot[top]], subset[top]
+        node, s = inner[slot[top], lane], subset[top]
         for k in range(6):
-            box[node, k] = s_box[s, k]
-        count[node] = s_count[s]
-        cost[node] = s_cost[s]
+            box[node, k] = s_box[s, k, lane]
+        count[node] = np.int32(s_count[s, lane])
+        cost[node] = s_cost[s, lane]
+        # Which partition was the best is not kept for all the subsets: it is needed for the
+        # few that become nodes only.
         rest = s & (s - 1)
-        best, side = np.inf, rest
-        p = rest
+        side, p = rest, rest
+        least = np.inf
         while p:
-            c = s_cost[p] + s_cost[s ^ p]
-            if c < best:
-                best, side = c, p
+            both = s_cost[p, lane] + s_cost[s ^ p, lane]
+            if both < least:
+                least, side = both, p
             p = (p - 1) & rest
         for part in (s ^ side, side):
             if part & (part - 1):
-                child = inner[used]
+                child = inner[used, lane]
                 slot[top], subset[top] = used, part
                 used += 1
                 top += 1
             else:
-                i = 0
-                while part >> i != 1:
-                    i += 1
-                child = leaves[i]
+                bit = 0
+                while part >> bit != 1:
+                    bit += 1
+                child = leaves[bit, lane]
             if part == side:
                 right[node] = child
             else:
@@ -172,89 +190,117 @@ def _rebuild(
 
 
 @njit
-def _improve(
-    nodes, size, left, right, box, count, cost, c_inner, c_tri, max_leaf
-):
-    """Rearrange the treelets rooted in ``nodes``, children before parents.
+def _improve(nodes, size, left, right, box, count, cost, c_inner, c_tri, max_leaf):
+    """Rearrange the treelets rooted in ``nodes``; none may stand below another one.
 
-    Returns how many were rebuilt.
+    Their descendants' costs must be up to date. Returns how many were rebuilt.
     """
-    leaves = np.empty(8, np.int32)
-    inner = np.empty(8, np.int32)
-    slot = np.empty(8, np.int32)
-    subset = np.empty(8, np.int32)
-    s_box = np.empty((1 << size, 6), np.float32)
-    s_count = np.empty(1 << size, np.int64)
-    s_cost = np.empty(1 << size, np.float64)
+    leaves = np.zeros((8, _LANES), np.int32)
+    inner = np.zeros((8, _LANES), np.int32)
+    s_box = np.zeros((1 << size, 6, _LANES), np.float32)
+    s_count = np.zeros((1 << size, _LANES), np.float64)
+    s_cost = np.zeros((1 << size, _LANES), np.float64)
     rebuilt = 0
-    for i in range(len(nodes) - 1, -1, -1):
-        root = nodes[i]
-        area = box_area(box, root)
-        now = c_inner * area + (cost[left[root]] + cost[right[root]])
-        if count[root] <= max_leaf:
-            now = min(now, c_tri * area * count[root])
-        cost[root] = now
-        n = _grow(root, size, left, right, box, leaves, inner)
-        if n < 3:
-            continue
-        _optimise_subsets(
-            n, leaves, box, count, cost, c_inner, c_tri, max_leaf, s_box, s_count, s_cost
-        )
-        if s_cost[(1 << n) - 1] < now:
-            _rebuild(
-                n, leaves, inner, left, right, box, count, cost,
-                s_box, s_count, s_cost, slot, subset,
-            )
-            rebuilt += 1
+    for first in range(0, len(nodes), _LANES):
+        used = min(_LANES, len(nodes) - first)
+        for lane in range(used):
+            _grow(nodes[first + lane], size, lane, left, right, box, leaves, inner)
+            for i in range(size):
+                leaf = leaves[i, lane]
+                for k in range(6):
+                    s_box[1 << i, k, lane] = box[leaf, k]
+                s_count[1 << i, lane] = count[leaf]
+                s_cost[1 << i, lane] = cost[leaf]
+        _solve(size, c_inner, c_tri, max_leaf, s_box, s_count, s_cost)
+        for lane in range(used):
+            root = nodes[first + lane]
+            now = _node_cost(root, left, right, box, count, cost, c_inner, c_tri, max_leaf)
+            cost[root] = now
+            if s_cost[(1 << size) - 1, lane] < now:
+                _rebuild(
+                    size,
+                    lane,
+                    leaves,
+                    inner,
+                    left,
+                    right,
+                    box,
+                    count,
+                    cost,
+                    s_box,
+                    s_count,
+                    s_cost,
+                )
+                rebuilt += 1
     return rebuilt
 
 
 @njit
 def nodes_above(root, least, left, right, count):
-    """Nodes from ``root`` down with at least so many references, parents before children."""
+    """Nodes from ``root`` down with at least so many references below, by their height.
+
+    Returns them, lowest first, and for each height where its nodes end. Nodes of equal
+    height do not stand below one another.
+    """
     found = np.empty(max(count[root] - 1, 1), np.int32)
-    found[0] = root
-    end = 1 if count[root] >= max(least, 2) else 0
+    parent = np.empty(len(found), np.int32)
+    found[0], parent[0] = root, 0
+    end = 1 if count[root] >= least else 0
     node = 0
     while node < end:
         for child in (left[found[node]], right[found[node]]):
-            if count[child] >= max(least, 2):
-                found[end] = child
+            if count[child] >= least:
+                found[end], parent[end] = child, node
                 end += 1
         node += 1
-    return found[:end]
+    height = np.zeros(end, np.int32)
+    for i in range(end - 1, 0, -1):
+        height[parent[i]] = max(height[parent[i]], height[i] + 1)
+    ends = np.zeros(height[0] + 2 if end else 1, np.int64)
+    for i in range(end):
+        ends[height[i] + 1] += 1
+    ends = np.cumsum(ends)
+    nodes = np.empty(end, np.int32)
+    for i in range(end):
+        nodes[ends[height[i]]] = found[i]
+        ends[height[i]] += 1
+    return nodes, ends[:-1]
+
+
+@njit
+def _improve_all(nodes, ends, size, left, right, box, count, cost, c_inner, c_tri, max_leaf):
+    """Rearrange the treelets rooted in nodes ordered by height. Returns how many were rebuilt."""
+    rebuilt, begin = 0, 0
+    for end in ends:
+        rebuilt += _improve(
+            nodes[begin:end], size, left, right, box, count, cost, c_inner, c_tri, max_leaf
+        )
+        begin = end
+    return rebuilt
 
 
 @njit(parallel=True)
-def _improve_subtrees(
-    roots, least, size, left, right, box, count, cost, c_inner, c_tri, max_leaf
-):
+def _improve_subtrees(roots, least, size, left, right, box, count, cost, c_inner, c_tri, max_leaf):
     """Rearrange disjoint subtrees in parallel. Returns treelets looked at and rebuilt."""
     done = np.zeros((len(roots), 2), np.int64)
     for i in numba.prange(len(roots)):
-        nodes = nodes_above(roots[i], least, left, right, count)
+        nodes, ends = nodes_above(roots[i], least, left, right, count)
         done[i, 0] = len(nodes)
-        done[i, 1] = _improve(
-            nodes, size, left, right, box, count, cost, c_inner, c_tri, max_leaf
+        done[i, 1] = _improve_all(
+            nodes, ends, size, left, right, box, count, cost, c_inner, c_tri, max_leaf
         )
     return done.sum(axis=0)
 
 
-def rearrange(
-    draft: Draft, size: int, rounds: int, options: Options, context: Context
-) -> Draft:
+def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draft:
     """Rearrange the treelets of a draft, round by round.
 
     Parameters
     ----------
     draft : Draft
         The start tree.
-    size : int
-        Leaves of a treelet, 4 to 8.
-    rounds : int
-        Passes over the tree; each one leaves out subtrees twice as large as the one before.
-    options : Options
-        The costs.
+    options : RearrangeOptions
+        The treelets' size, the rounds, the costs.
     context : Context
         Told of the progress.
 
@@ -264,31 +310,33 @@ def rearrange(
         With ``start_sah``, ``end_sah``, ``iterations`` (rounds), and the treelets looked at
         and rebuilt in its report.
     """
-    costs = {
-        "c_inner": options.c_inner, "c_tri": options.c_tri, "max_leaf": options.max_leaf,
-    }
+    costs = {"c_inner": options.c_inner, "c_tri": options.c_tri, "max_leaf": options.max_leaf}
     left, right, reference, count, box = depth_first(draft)
     cost = subtree_costs(left, right, box, count, *costs.values())
+    # A scene of fewer triangles is a smaller treelet.
+    size = min(options.size, len(draft.references))
+    rounds = options.rounds if size > 2 else 0
     arrays = (size, left, right, box, count, cost, *costs.values())
     # Subtrees of at most `limit` references are the units of parallel work; the few nodes
-    # above them follow one after the other. The limit depends on the scene alone.
+    # above them follow. The limit depends on the scene alone, as the outcome must.
     limit = max(256, len(draft.references) // 256)
     looked, rebuilt = 0, 0
     for turn in range(rounds):
         least = size << turn
-        top = nodes_above(0, limit + 1, left, right, count)
-        below = np.concatenate([left[top], right[top]]) if len(top) else np.zeros(1, np.int32)
-        below = np.sort(below[(count[below] <= limit) & (count[below] >= least)])
-        ends = np.cumsum(count[below], dtype=np.int64)
-        cuts = np.searchsorted(ends, np.arange(0, len(reference) + _STEP, _STEP))
-        for begin, end in zip(cuts[:-1], cuts[1:], strict=True):
+        top, heights = nodes_above(0, max(limit + 1, least), left, right, count)
+        roots = np.concatenate([left[top], right[top]]) if len(top) else np.zeros(1, np.int32)
+        roots = np.sort(roots[(count[roots] <= limit) & (count[roots] >= least)])
+        ends = np.cumsum(count[roots], dtype=np.int64)
+        cuts = np.searchsorted(ends, np.arange(0, len(left) + _STEP, _STEP))
+        for begin, end in itertools.pairwise(cuts):
             if begin < end:
-                done = _improve_subtrees(below[begin:end], least, *arrays)
+                done = _improve_subtrees(roots[begin:end], least, *arrays)
                 looked, rebuilt = looked + int(done[0]), rebuilt + int(done[1])
-                context.progress("treelets", (turn + end / len(below)) / rounds)
-        top = top[count[top] >= least]
-        for end in range(len(top), 0, -_STEP):
-            rebuilt += _improve(top[max(end - _STEP, 0) : end], *arrays)
+                context.progress("treelets", (turn + end / len(roots)) / rounds)
+        begin = 0
+        for ends in np.split(heights, range(_STEP, len(heights), _STEP)):
+            rebuilt += _improve_all(top[begin:], ends - begin, *arrays)
+            begin = ends[-1] if len(ends) else begin
         looked += len(top)
     result = Draft(draft.references, left, right, reference)
     start_sah, end_sah = draft_sah(draft, **costs), draft_sah(result, **costs)
@@ -305,12 +353,27 @@ def rearrange(
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TreeletOptions(Options):
+class RearrangeOptions(Options):
+    """What `treelet` and `streelet` have in common."""
+
+    size: int = option(7, "leaves of a treelet; one more triples the time", 4, 8)
+    rounds: int = option(3, "passes over the tree; later ones leave small subtrees out", 0, 24)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TreeletOptions(RearrangeOptions):
     """What `treelet` takes."""
 
     start: str = option("lbvh", "builder of the tree to start from")
-    size: int = option(7, "leaves of a treelet; one more triples the time", 4, 8)
-    rounds: int = option(3, "passes over the tree; later ones leave small subtrees out", 0, 24)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SplitTreeletOptions(RearrangeOptions):
+    """What `streelet` takes."""
+
+    beta: float = option(
+        0.3, "references that splitting may add, per triangle; more overlap less", 0.0, 8.0
+    )
 
 
 @builder(
@@ -322,6 +385,22 @@ class TreeletOptions(Options):
 def treelet(triangles: Triangles, options: TreeletOptions, context: Context) -> Draft:
     """Rearrange the treelets of a start tree."""
     draft = context.start(triangles, options.start, options)
-    draft = rearrange(draft, options.size, options.rounds, options, context)
+    draft = rearrange(draft, options, context)
     draft.report["start"] = options.start
+    return draft
+
+
+@builder(
+    "streelet",
+    summary="triangle splitting, a Morton tree over the parts, then `treelet`",
+    source="Karras and Aila 2013",
+    options=SplitTreeletOptions,
+)
+def streelet(triangles: Triangles, options: SplitTreeletOptions, context: Context) -> Draft:
+    """Split triangles up front, and rearrange the treelets of the Morton tree over the parts."""
+    context.progress("splitting", 0.0)
+    references = presplit(triangles, options.beta)
+    context.progress("splitting", 1.0)
+    draft = rearrange(radix_draft(references), options, context)
+    draft.report["references"] = len(references)
     return draft
