@@ -208,7 +208,7 @@ def read_npz(
         If the file is missing, damaged, of another kind, or of a newer format.
     """
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
             header = json.loads(str(data["header"]))
             arrays = {name: data[name] for name in names}
     except FileNotFoundError:

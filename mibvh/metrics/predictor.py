@@ -29,9 +29,13 @@ def predict(sah: npt.ArrayLike, epo: npt.ArrayLike, alpha: float) -> npt.NDArray
 
 
 def pearson(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> float:
-    """Pearson's correlation coefficient; NaN for fewer than two trees, or constant values."""
+    """Pearson's correlation coefficient.
+
+    NaN for constant values, and for fewer than three trees: over two it is 1 or -1 whatever the
+    predictor.
+    """
     x, y = np.asarray(predicted, np.float64), np.asarray(measured, np.float64)
-    if len(x) < 2 or np.ptp(x) == 0 or np.ptp(y) == 0:
+    if len(x) < 3 or np.ptp(x) == 0 or np.ptp(y) == 0:
         return float("nan")
     return float(stats.pearsonr(x, y).statistic)
 
@@ -77,7 +81,7 @@ def agreement(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> dict[str, An
     result: dict[str, Any] = {"trees": len(x), "pearson": pearson(x, y)}
     for name in ("spearman", "kendall", "without_worst", "worst_error"):
         result[name] = float("nan")
-    if len(x) < 3 or np.isnan(result["pearson"]):
+    if np.isnan(result["pearson"]):
         return result
     result["spearman"] = float(stats.spearmanr(x, y).statistic)
     result["kendall"] = float(stats.kendalltau(x, y).statistic)

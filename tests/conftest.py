@@ -1,0 +1,49 @@
+"""Geometry and brute-force helpers that the tests share."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+import mibvh
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Generated scenes go to a folder of the test run, not to the user's cache."""
+    os.environ["MIBVH_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+
+
+def soup(count: int, seed: int = 0, size: float = 0.1) -> mibvh.Triangles:
+    """Random triangles in a box: anisotropic, of mixed size, overlapping."""
+    rng = np.random.default_rng(seed)
+    scale = size * rng.lognormal(0, 0.7, (count, 1, 1))
+    corners = rng.random((count, 1, 3)) * [3, 1, 2] + rng.normal(size=(count, 3, 3)) * scale
+    return mibvh.Triangles(corners.astype(np.float32), f"soup{count}")
+
+
+def closed_box(lower: float = 0.0, upper: float = 1.0, cells: int = 4) -> np.ndarray:
+    """(N, 3, 3) float32: the closed surface of a cube, each face a grid of triangles."""
+    s = np.linspace(lower, upper, cells + 1)
+    u, v = (g.ravel() for g in np.meshgrid(np.arange(cells), np.arange(cells), indexing="ij"))
+    quads = np.stack([np.stack([s[u], s[v]], 1), np.stack([s[u + 1], s[v]], 1),
+                      np.stack([s[u + 1], s[v + 1]], 1), np.stack([s[u], s[v + 1]], 1)], 1)  # fmt: skip
+    flat = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    faces = []
+    for axis in range(3):
+        for level in (lower, upper):
+            face = np.insert(flat, axis, level, axis=2)
+            faces.append(face)
+    return np.concatenate(faces).astype(np.float32)
+
+
+@pytest.fixture(scope="session")
+def small_soup() -> mibvh.Triangles:
+    return soup(60)
+
+
+@pytest.fixture(scope="session")
+def cornell() -> mibvh.Scene:
+    return mibvh.load("cornell@3000")
