@@ -212,9 +212,8 @@ def _part(lists, source, target, total, n, axis, at, axes):
 
 
 @njit
-def _split(lists, total, task, areas, links, children):
-    """Split one node; write its two children, as tasks, into ``children``."""
-    begin, n, node, side = task[0], task[1], task[2], task[3]
+def _split(lists, total, begin, n, side, areas):
+    """Split one node and part its lists; return how many references go left."""
     source = np.uint64(begin + 3 * total * side)
     target = np.uint64(begin + 3 * total * (1 - side))
     rows, count = np.uint64(total), np.uint64(n)
@@ -222,62 +221,65 @@ def _split(lists, total, task, areas, links, children):
     # Of nodes of one or two references, only the first list is read.
     axes = 1 if at <= 2 and n - at <= 2 else 3
     _part(lists, source, target, rows, count, axis, np.uint64(at), axes)
-    left, right, reference = links
-    left[node], right[node], reference[node] = node + 1, node + 2 * at, -1
-    children[0, 0], children[0, 1], children[0, 2], children[0, 3] = begin, at, node + 1, 1 - side
-    children[1, 0], children[1, 1] = begin + at, n - at
-    children[1, 2], children[1, 3] = node + 2 * at, 1 - side
+    return at
 
 
 @njit
-def _leaf(links, node, reference):
-    links[0][node], links[1][node], links[2][node] = -1, -1, reference
-
-
-@njit
-def _subtree(lists, total, task, links):
+def _subtree(lists, total, begin, n, node, side, left, right, reference):
     """Build all below one node."""
     ids = lists.view(np.int32)
-    areas = np.empty(task[1], np.float32)
-    # The smaller child goes first, so that few wait.
+    areas = np.empty(n, np.float32)
     stack = np.empty((64, 4), np.int64)
-    children = np.empty((2, 4), np.int64)
-    stack[0] = task
-    top = 1
-    while top > 0:
-        top -= 1
-        begin, n, node, side = stack[top]
-        row = begin + 3 * total * side
-        if n == 1:
-            _leaf(links, node, ids[row, 3] - _ID_ZERO)
-        elif n == 2:
+    top = np.uint64(0)
+    one = np.uint64(1)
+    while True:
+        row = np.uint64(begin + 3 * total * side)
+        if n > 2:
+            at = _split(lists, total, begin, n, side, areas)
+            left[node], right[node], reference[node] = node + 1, node + 2 * at, -1
+            side = 1 - side
+            # The larger child waits, so that few wait at a time.
+            if at < n - at:
+                stack[top, 0], stack[top, 1] = begin + at, n - at
+                stack[top, 2], stack[top, 3] = node + 2 * at, side
+                n, node = at, node + 1
+            else:
+                stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = begin, at, node + 1, side
+                begin, n, node = begin + at, n - at, node + 2 * at
+            top += one
+            continue
+        if n == 2:
             # All splits are equal, so the lowest axis decides.
-            links[0][node], links[1][node], links[2][node] = node + 1, node + 2, -1
-            _leaf(links, node + 1, ids[row, 3] - _ID_ZERO)
-            _leaf(links, node + 2, ids[row + 1, 3] - _ID_ZERO)
-        else:
-            _split(lists, total, stack[top], areas, links, children)
-            small = 0 if children[0, 1] <= children[1, 1] else 1
-            stack[top] = children[1 - small]
-            stack[top + 1] = children[small]
-            top += 2
+            left[node], right[node], reference[node] = node + 1, node + 2, -1
+            left[node + 2], right[node + 2] = -1, -1
+            reference[node + 2] = ids[row + one, 3] - _ID_ZERO
+            node += 1
+        left[node], right[node], reference[node] = -1, -1, ids[row, 3] - _ID_ZERO
+        if top == np.uint64(0):
+            break
+        top -= one
+        begin, n, node, side = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
 
 
 @njit(parallel=True)
-def _split_all(lists, total, tasks, starts, links, children):
+def _split_all(lists, total, tasks, starts, left, right, reference, children):
     """Split each task once; thread g takes the tasks from ``starts[g]`` to ``starts[g + 1]``."""
     for g in numba.prange(len(starts) - 1):
         for i in range(starts[g], starts[g + 1]):
-            areas = np.empty(tasks[i, 1], np.float32)
-            _split(lists, total, tasks[i], areas, links, children[i])
+            begin, n, node, side = tasks[i]
+            at = _split(lists, total, begin, n, side, np.empty(n, np.float32))
+            left[node], right[node], reference[node] = node + 1, node + 2 * at, -1
+            children[i, 0] = begin, at, node + 1, 1 - side
+            children[i, 1] = begin + at, n - at, node + 2 * at, 1 - side
 
 
 @njit(parallel=True)
-def _build_all(lists, total, tasks, starts, links):
+def _build_all(lists, total, tasks, starts, left, right, reference):
     """Build the subtree of each task; thread g takes those from ``starts[g]`` on."""
     for g in numba.prange(len(starts) - 1):
         for i in range(starts[g], starts[g + 1]):
-            _subtree(lists, total, tasks[i], links)
+            begin, n, node, side = tasks[i]
+            _subtree(lists, total, begin, n, node, side, left, right, reference)
 
 
 def _shares(tasks: I64) -> tuple[I64, I64]:
@@ -304,7 +306,7 @@ def _build(lists: F32, links: tuple[I32, I32, I32], context: Context) -> None:
         tasks, starts = _shares(tasks[tasks[:, 1] > limit])
         children = np.empty((len(tasks), 2, 4), np.int64)
         if len(tasks):
-            _split_all(lists, total, tasks, starts, links, children)
+            _split_all(lists, total, tasks, starts, *links, children)
         tasks = children.reshape(-1, 4)
     tasks = np.concatenate(ready)
     tasks = tasks[np.argsort(-tasks[:, 1], kind="stable")]
@@ -312,7 +314,7 @@ def _build(lists: F32, links: tuple[I32, I32, I32], context: Context) -> None:
     for batch in range(batches):
         context.progress("sweep", batch / batches)
         if len(part := tasks[batch::batches]):
-            _build_all(lists, total, *_shares(part), links)
+            _build_all(lists, total, *_shares(part), *links)
 
 
 @builder(
