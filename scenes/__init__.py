@@ -16,7 +16,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .generators import cornell, hairball, livingroom
+from .generators import (
+    cathedral,
+    city,
+    cornell,
+    foliage,
+    hairball,
+    industry,
+    interiors,
+    livingroom,
+)
 from .generators.base import PartDict, Recipe, SceneInfo, build_to_size
 
 __all__ = ["CATALOGUE", "GENERATOR_VERSION", "SceneInfo", "generate", "write"]
@@ -24,7 +33,7 @@ __all__ = ["CATALOGUE", "GENERATOR_VERSION", "SceneInfo", "generate", "write"]
 # Goes into scene.json; raise it whenever a change makes other triangles for the same arguments.
 GENERATOR_VERSION = 1
 
-_MODULES = (cornell, livingroom, hairball)
+_MODULES = (cornell, livingroom, hairball, interiors, cathedral, city, foliage, industry)
 _RECIPES: dict[str, Recipe] = {r.info.name: r for m in _MODULES for r in m.RECIPES}
 
 CATALOGUE: dict[str, SceneInfo] = {name: r.info for name, r in _RECIPES.items()}
