@@ -121,6 +121,7 @@ _BUNDLED: dict[str, str] = {
     "lbvh": "mibvh.builders.morton",
     "hill": "mibvh.builders.rotations",
     "anneal": "mibvh.builders.rotations",
+    "bittner": "mibvh.builders.insertion",
     "treelet": "mibvh.builders.treelet",
     "streelet": "mibvh.builders.treelet",
 }
