@@ -1,7 +1,7 @@
 """The records that the kernel reads: a tree and its triangles as rows of floats.
 
 One row of 16 floats per inner node holds both children, so that a node visit is one cache
-line; one row of 12 floats per reference holds its triangle, in leaf order. Coordinates are
+line; one row of 16 floats per reference holds its triangle, in leaf order. Coordinates are
 scaled by a power of two to an extent near 1: products neither overflow nor underflow in
 float32, and scaling back is exact.
 """
@@ -22,9 +22,9 @@ from mibvh.variant import mitsuba
 #: two spare. A child code is the row of an inner node, or, complemented, that of the first
 #: triangle of a leaf.
 NODE_ROW = 16
-#: Floats per reference: corner, edge to the second and to the third corner, triangle id,
-#: 1 for the last of its leaf, spare.
-TRIANGLE_ROW = 12
+#: Floats per reference: three corners, normal, triangle id, 1 for the last of its leaf, two
+#: spare.
+TRIANGLE_ROW = 16
 #: The code of "nothing left to do".
 DONE = -(2**31)
 
@@ -82,16 +82,27 @@ def _node_rows(lower, upper, left, first):
 
 @njit
 def _triangle_rows(corners, references, last):
-    rows = np.zeros((len(references), 12), np.float32)
+    rows = np.zeros((len(references), 16), np.float32)
     bits = rows.view(np.int32)
+    e = np.empty((2, 3))
     for i in range(len(references)):
         t = references[i]
         for k in range(3):
-            rows[i, k] = corners[t, 0, k]
-            rows[i, 3 + k] = corners[t, 1, k] - corners[t, 0, k]
-            rows[i, 6 + k] = corners[t, 2, k] - corners[t, 0, k]
-        bits[i, 9] = t
-        bits[i, 10] = last[i]
+            for c in range(3):
+                rows[i, 3 * c + k] = corners[t, c, k]
+            e[0, k] = np.float64(corners[t, 1, k]) - corners[t, 0, k]
+            e[1, k] = np.float64(corners[t, 2, k]) - corners[t, 0, k]
+        normal = (
+            e[0, 1] * e[1, 2] - e[0, 2] * e[1, 1],
+            e[0, 2] * e[1, 0] - e[0, 0] * e[1, 2],
+            e[0, 0] * e[1, 1] - e[0, 1] * e[1, 0],
+        )
+        # Of any length: scaled so that float32 holds that of the smallest triangle.
+        largest = max(abs(normal[0]), abs(normal[1]), abs(normal[2]))
+        for k in range(3):
+            rows[i, 9 + k] = normal[k] / largest if largest > 0.0 else 0.0
+        bits[i, 12] = t
+        bits[i, 13] = last[i]
     return rows
 
 

@@ -1,0 +1,67 @@
+import numpy as np
+import pytest
+from conftest import closed_box
+
+import mibvh
+
+
+@pytest.fixture(scope="module")
+def rays(cornell):
+    return mibvh.diffuse_rays(cornell, width=32, height=24, samples=2, bounces=2)
+
+
+def test_counts_and_order(rays, cornell):
+    per_view = 32 * 24 * 2
+    assert rays.meta["primary_rays"] == per_view * len(cornell.sensors)
+    first = rays.bounce == 1
+    assert first.sum() == rays.meta["primary_hits"]
+    assert 0 < (rays.bounce == 2).sum() < first.sum()
+    assert set(rays.viewpoint) == set(range(len(cornell.sensors)))
+    assert (np.diff(rays.bounce) >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(rays.d, axis=1), 1, atol=1e-5)
+    assert np.isinf(rays.tmax).all()
+
+
+def test_same_seed_same_rays(cornell, rays):
+    again = mibvh.diffuse_rays(cornell, width=32, height=24, samples=2, bounces=2)
+    other = mibvh.diffuse_rays(cornell, width=32, height=24, samples=2, bounces=2, seed=1)
+    assert again.digest == rays.digest != other.digest
+
+
+def test_rays_leave_surfaces_with_cosine_distribution():
+    """Inside a closed box: every origin lies on a wall, and cos(theta) has mean 2/3."""
+    mi = pytest.importorskip("mitsuba")
+    box = closed_box(-1, 1)
+    scene = mibvh.load(box)
+    assert mi.variant() is not None
+    rays = mibvh.diffuse_rays(scene, width=64, height=48, samples=2)
+    assert rays.meta["primary_hits"] == rays.meta["primary_rays"]  # from inside, nothing is missed
+    wall = np.abs(rays.o).argmax(axis=1)
+    at = np.take_along_axis(rays.o, wall[:, None], 1)[:, 0]
+    np.testing.assert_allclose(np.abs(at), 1, atol=2e-4)
+    cosine = -np.sign(at) * np.take_along_axis(rays.d, wall[:, None], 1)[:, 0]
+    assert cosine.min() > 0
+    # cos has mean 2/3 and variance 1/18 under the cosine distribution.
+    error = np.sqrt(1 / 18 / len(cosine))
+    assert abs(cosine.mean() - 2 / 3) < 5 * error
+    assert abs((cosine**2).mean() - 1 / 2) < 5 * np.sqrt((1 / 3 - 1 / 4) / len(cosine))
+
+
+def test_round_trip_and_damage(rays, tmp_path):
+    path = tmp_path / "r.npz"
+    rays.save(path)
+    again = mibvh.RaySet.load(path)
+    assert again.digest == rays.digest
+    assert again.meta == rays.meta
+    whole = path.read_bytes()
+    at = whole.index(rays.d.tobytes())
+    path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+    with pytest.raises(mibvh.MibvhError, match="damaged"):
+        mibvh.RaySet.load(path)
+
+
+def test_impossible_requests(cornell):
+    with pytest.raises(mibvh.MibvhError, match="viewpoints, fewer"):
+        mibvh.diffuse_rays(cornell, viewpoints=99)
+    with pytest.raises(mibvh.MibvhError, match="width must be"):
+        mibvh.diffuse_rays(cornell, width=0)

@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+import trimesh
+from conftest import closed_box
+
+import mibvh
+
+CAMERA = """<sensor type="perspective"><transform name="to_world">
+<lookat origin="0, 0, -9" target="0, 0, 0" up="0, 1, 0"/></transform>
+<film type="hdrfilm"><integer name="width" value="48"/><integer name="height" value="32"/></film></sensor>"""
+
+
+def xml(tmp_path, body, camera=CAMERA):
+    path = tmp_path / "a_scene.xml"
+    path.write_text(f'<scene version="3.0.0">{camera}{body}</scene>')
+    return path
+
+
+def test_instances_are_flattened_and_transformed(tmp_path):
+    scene = mibvh.load(xml(tmp_path, """
+        <shape type="shapegroup" id="g"><shape type="cube"/><shape type="rectangle"/></shape>
+        <shape type="instance"><ref id="g"/></shape>
+        <shape type="instance"><ref id="g"/><transform name="to_world">
+          <scale value="2"/><translate x="10"/></transform></shape>
+        <shape type="cube"><transform name="to_world"><translate y="-5"/></transform></shape>"""))  # fmt: skip
+    assert scene.name == "a_scene"
+    assert len(scene.triangles) == 12 + 2 * (12 + 2)
+    np.testing.assert_allclose(scene.triangles.bounds, [[-1, -6, -2], [12, 2, 2]], atol=1e-6)
+    # Cubes of side 2 (area 24) and 4 (96), and 2 (4) and 4 (16) wide squares.
+    assert scene.triangles.areas.sum() == pytest.approx(24 + 24 + 96 + 4 + 16, rel=1e-5)
+    assert len(scene.sensors) == 1
+
+
+def test_analytic_shapes_are_tessellated_and_others_named(tmp_path):
+    scene = mibvh.load(xml(tmp_path, """
+        <shape type="sphere" id="ball"><float name="radius" value="2"/></shape>
+        <shape type="disk" id="plate"><transform name="to_world"><translate z="5"/></transform></shape>
+        <shape type="cylinder" id="can"/>"""))  # fmt: skip
+    said = " ".join(scene.notes)
+    for name in ("ball", "plate", "can"):
+        assert f"'{name}' was tessellated" in said
+    exact = 4 * np.pi * 4 + np.pi + 2 * np.pi
+    assert scene.triangles.areas.sum() == pytest.approx(exact, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", ["ply", "obj", "glb", "stl"])
+def test_mesh_files(tmp_path, kind):
+    mesh = trimesh.creation.icosphere(subdivisions=2)
+    path = tmp_path / f"ball.{kind}"
+    mesh.export(path)
+    scene = mibvh.load(path)
+    assert scene.name == "ball"
+    assert len(scene.triangles) == len(mesh.faces)
+    assert scene.triangles.areas.sum() == pytest.approx(mesh.area, rel=1e-4)
+    # An object seen from around it: every viewpoint is outside.
+    for sensor in scene.sensors:
+        origin = np.array(sensor.world_transform().matrix, dtype=float).reshape(4, 4)[:3, 3]
+        assert np.linalg.norm(origin) > 1.5
+
+
+def test_viewpoints_of_an_interior_are_inside():
+    scene = mibvh.load(closed_box(-1, 1))
+    assert len(scene.sensors) == 4
+    for sensor in scene.sensors:
+        origin = np.array(sensor.world_transform().matrix, dtype=float).reshape(4, 4)[:3, 3]
+        assert np.abs(origin).max() < 1
+
+
+def test_prim_index_is_the_triangle_id(small_soup):
+    mi = pytest.importorskip("mitsuba")
+    scene = mibvh.load(small_soup)
+    center = small_soup.corners[17].mean(axis=0)
+    a, b, c = small_soup.corners[17].astype(float)
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal)
+    ray = mi.Ray3f(mi.Point3f(center - 1e-3 * normal), mi.Vector3f(normal))
+    hit = scene.geometry.ray_intersect_preliminary(ray)
+    assert hit.prim_index[0] == 17
+
+
+def test_bad_input_gets_one_sentence(tmp_path):
+    with pytest.raises(mibvh.MibvhError, match="no such file, and no bundled scene"):
+        mibvh.load("nowhere.xml")
+    with pytest.raises(mibvh.MibvhError, match="Mitsuba cannot load it"):
+        mibvh.load(xml(tmp_path, '<shape type="ply"><string name="filename" value="no.ply"/></shape>'))
+    with pytest.raises(mibvh.MibvhError, match="no triangle in it"):
+        mibvh.load(xml(tmp_path, ""))
+    broken = tmp_path / "broken.ply"
+    broken.write_text("ply\nnonsense")
+    with pytest.raises(mibvh.MibvhError, match="cannot be read as a mesh"):
+        mibvh.load(broken)
+    other = tmp_path / "notes.txt"
+    other.write_text("hello")
+    with pytest.raises(mibvh.MibvhError, match="neither Mitsuba XML nor"):
+        mibvh.load(other)
