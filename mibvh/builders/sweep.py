@@ -33,6 +33,9 @@ from mibvh.builders.registry import Context, Options, builder
 from mibvh.builders.simd import half_area, load, load_corners, nothing, store, union
 from mibvh.triangles import F32, I32, Triangles
 
+#: Up to so many references, the three axes are swept side by side.
+_SMALL = 16
+
 #: Subtrees smaller than this are not worth a task of their own.
 _TASK = 4096
 
@@ -186,16 +189,57 @@ def _best_split(lists, first, total, n, areas):
 
 
 @njit
-def _part(lists, source, target, total, n, axis, at, axes):
-    """Write the lists of a node to the other set, those left of the split first.
+def _best_split_small(lists, first, total, n, areas):
+    """Sweep the three axes side by side: for few references, loops cost more than sweeps."""
+    one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
+    x, y, z = first, first + total, first + two * total
+    a, b, c = nothing(), nothing(), nothing()
+    at = n
+    while at > one:
+        at -= one
+        a = union(a, load(lists, x + at))
+        b = union(b, load(lists, y + at))
+        c = union(c, load(lists, z + at))
+        rest = np.float32(n - at)
+        areas[three * at] = half_area(a) * rest
+        areas[three * at + one] = half_area(b) * rest
+        areas[three * at + two] = half_area(c) * rest
+    best = (np.float32(np.inf), np.int64(n), 3, np.int64(0))
+    a, b, c = nothing(), nothing(), nothing()
+    for at in range(one, n):
+        a = union(a, load(lists, x + at - one))
+        b = union(b, load(lists, y + at - one))
+        c = union(c, load(lists, z + at - one))
+        part = np.float32(at)
+        cost_a = half_area(a) * part + areas[three * at]
+        cost_b = half_area(b) * part + areas[three * at + one]
+        cost_c = half_area(c) * part + areas[three * at + two]
+        # Of equals, the lower axis.
+        axis = 0 if cost_a <= cost_b else 1
+        cost = cost_a if cost_a <= cost_b else cost_b
+        axis = axis if cost <= cost_c else 2
+        cost = cost if cost <= cost_c else cost_c
+        if cost <= best[0]:
+            even = abs(np.int64(n) - np.int64(at + at))
+            if _better(cost, even, axis, np.int64(at), best):
+                best = (cost, even, axis, np.int64(at))
+    return best
 
-    The last reference on the left is the bound: left is what does not come behind it.
-    """
-    bound_row = source + np.uint64(axis) * total + at - np.uint64(1)
-    bound = lists[bound_row, axis] - lists[bound_row, axis + 4]
-    bound_id = lists[bound_row, 3]
+
+@njit
+def _goes_left(lists, row, axis, bound, bound_id):
+    """Whether a reference does not come behind the last one on the left."""
+    center = lists[row, axis] - lists[row, axis + 4]
+    return (center < bound) | ((center == bound) & (lists[row, 3] <= bound_id))
+
+
+@njit
+def _part(lists, source, target, total, n, axis, at):
+    """Write the lists of a node to the other set, those left of the split first."""
+    row = source + np.uint64(axis) * total + at - np.uint64(1)
+    bound, bound_id = lists[row, axis] - lists[row, axis + 4], lists[row, 3]
     one = np.uint64(1)
-    for k in range(np.uint64(axes)):
+    for k in range(np.uint64(3)):
         row, left = source + k * total, target + k * total
         if k == axis:
             for i in range(n):
@@ -203,12 +247,32 @@ def _part(lists, source, target, total, n, axis, at, axes):
             continue
         right = left + at
         for end in range(row, row + n):
-            center = lists[end, axis] - lists[end, axis + 4]
-            is_left = center < bound or (center == bound and lists[end, 3] <= bound_id)
+            is_left = _goes_left(lists, end, axis, bound, bound_id)
             store(lists, left if is_left else right, load(lists, end))
             step = np.uint64(is_left)
             left += step
             right += one - step
+
+
+@njit
+def _part_small(lists, source, target, total, n, axis, at):
+    """The same with the three lists side by side."""
+    row = source + np.uint64(axis) * total + at - np.uint64(1)
+    bound, bound_id = lists[row, axis] - lists[row, axis + 4], lists[row, 3]
+    y, z = total, np.uint64(2) * total
+    left_a, left_b, left_c = target, target + y, target + z
+    right_a, right_b, right_c = left_a + at, left_b + at, left_c + at
+    one = np.uint64(1)
+    for end in range(source, source + n):
+        is_left = _goes_left(lists, end, axis, bound, bound_id)
+        store(lists, left_a if is_left else right_a, load(lists, end))
+        left_a, right_a = left_a + np.uint64(is_left), right_a + one - np.uint64(is_left)
+        is_left = _goes_left(lists, end + y, axis, bound, bound_id)
+        store(lists, left_b if is_left else right_b, load(lists, end + y))
+        left_b, right_b = left_b + np.uint64(is_left), right_b + one - np.uint64(is_left)
+        is_left = _goes_left(lists, end + z, axis, bound, bound_id)
+        store(lists, left_c if is_left else right_c, load(lists, end + z))
+        left_c, right_c = left_c + np.uint64(is_left), right_c + one - np.uint64(is_left)
 
 
 @njit
@@ -217,10 +281,12 @@ def _split(lists, total, begin, n, side, areas):
     source = np.uint64(begin + 3 * total * side)
     target = np.uint64(begin + 3 * total * (1 - side))
     rows, count = np.uint64(total), np.uint64(n)
-    _, _, axis, at = _best_split(lists, source, rows, count, areas)
-    # Of nodes of one or two references, only the first list is read.
-    axes = 1 if at <= 2 and n - at <= 2 else 3
-    _part(lists, source, target, rows, count, axis, np.uint64(at), axes)
+    if n <= _SMALL:
+        _, _, axis, at = _best_split_small(lists, source, rows, count, areas)
+        _part_small(lists, source, target, rows, count, axis, np.uint64(at))
+    else:
+        _, _, axis, at = _best_split(lists, source, rows, count, areas)
+        _part(lists, source, target, rows, count, axis, np.uint64(at))
     return at
 
 
@@ -228,7 +294,7 @@ def _split(lists, total, begin, n, side, areas):
 def _subtree(lists, total, begin, n, node, side, left, right, reference):
     """Build all below one node."""
     ids = lists.view(np.int32)
-    areas = np.empty(n, np.float32)
+    areas = np.empty(max(n, 3 * _SMALL), np.float32)
     stack = np.empty((64, 4), np.int64)
     top = np.uint64(0)
     one = np.uint64(1)
@@ -244,7 +310,12 @@ def _subtree(lists, total, begin, n, node, side, left, right, reference):
                 stack[top, 2], stack[top, 3] = node + 2 * at, side
                 n, node = at, node + 1
             else:
-                stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = begin, at, node + 1, side
+                stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = (
+                    begin,
+                    at,
+                    node + 1,
+                    side,
+                )
                 begin, n, node = begin + at, n - at, node + 2 * at
             top += one
             continue
