@@ -19,21 +19,34 @@ from numpy.typing import NDArray
 from .generators import (
     cathedral,
     city,
+    contrasts,
     cornell,
     foliage,
     hairball,
     industry,
     interiors,
     livingroom,
+    statues,
 )
-from .generators.base import PartDict, Recipe, SceneInfo, build_to_size
+from .generators.base import PartDict, Recipe, SceneInfo, build_to_size, thin
 
 __all__ = ["CATALOGUE", "GENERATOR_VERSION", "SceneInfo", "generate", "write"]
 
 # Goes into scene.json; raise it whenever a change makes other triangles for the same arguments.
 GENERATOR_VERSION = 1
 
-_MODULES = (cornell, livingroom, hairball, interiors, cathedral, city, foliage, industry)
+_MODULES = (
+    cornell,
+    livingroom,
+    hairball,
+    interiors,
+    cathedral,
+    city,
+    foliage,
+    industry,
+    statues,
+    contrasts,
+)
 _RECIPES: dict[str, Recipe] = {r.info.name: r for m in _MODULES for r in m.RECIPES}
 
 CATALOGUE: dict[str, SceneInfo] = {name: r.info for name, r in _RECIPES.items()}
@@ -80,7 +93,11 @@ def generate(name: str, triangles: int | None = None, seed: int | None = None) -
         If the name is not in the catalogue.
     """
     recipe = _recipe(name)
-    return build_to_size(recipe, _size(recipe, triangles), 0 if seed is None else seed).result()
+    target = _size(recipe, triangles)
+    parts = build_to_size(recipe, target, 0 if seed is None else seed).result()
+    if sum(len(f) for _, f in parts.values()) > 1.2 * target:
+        parts = thin(parts, target)
+    return parts
 
 
 def write(name: str, folder: Path, triangles: int | None = None, seed: int | None = None) -> Path:

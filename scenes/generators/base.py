@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from .primitives import Mesh, merge
 
@@ -133,3 +135,41 @@ def build_to_size(recipe: Recipe, triangles: int, seed: int) -> Parts:
         detail = float(guess)
     assert best is not None
     return best
+
+
+def thin(parts: PartDict, triangles: int) -> PartDict:
+    """Leave out the smallest pieces of a scene that is larger than asked for.
+
+    Scenes of many objects cannot be cut more coarsely than a box each. Below that, whole
+    connected pieces go, smallest surface first, so that walls and houses stay and bolts and
+    crenels go; every part keeps its largest piece.
+    """
+    areas, counts, owners, labels = [], [], [], {}
+    for name, (v, f) in parts.items():
+        link = coo_matrix(
+            (np.ones(2 * len(f)), (f[:, :2].ravel(), f[:, 1:].ravel())), (len(v),) * 2
+        )
+        k, of_corner = connected_components(link, directed=False)
+        own = of_corner[f[:, 0]]
+        a = v[f[:, 0]].astype(np.float64)
+        area = 0.5 * np.linalg.norm(np.cross(v[f[:, 1]] - a, v[f[:, 2]] - a), axis=1)
+        labels[name] = own
+        areas.append(np.bincount(own, weights=area, minlength=k))
+        counts.append(np.bincount(own, minlength=k))
+        owners.append(k)
+    start = np.concatenate([[0], np.cumsum(owners)])
+    area, count = np.concatenate(areas), np.concatenate(counts)
+    keep = np.zeros(len(area), dtype=bool)
+    for i in range(len(owners)):
+        keep[start[i] + np.argmax(areas[i])] = True
+    left = triangles - int(count[keep].sum())
+    for piece in np.argsort(-area, kind="stable"):
+        if not keep[piece] and count[piece] <= left:
+            keep[piece] = True
+            left -= int(count[piece])
+    out: PartDict = {}
+    for i, (name, (v, f)) in enumerate(parts.items()):
+        kept = f[keep[start[i] + labels[name]]]
+        used, new = np.unique(kept, return_inverse=True)
+        out[name] = v[used], new.reshape(-1, 3).astype(np.int32)
+    return out

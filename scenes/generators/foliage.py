@@ -52,7 +52,7 @@ def _tree(
         length, radius = 0.66 * length, 0.55 * radius
     tip = path.reshape(-1, 3)
     root = tip[rng.integers(0, len(tip), k * per_twig)] + 0.1 * rng.normal(size=(k * per_twig, 3))
-    return merge(wood), _leaves(root, 0.22, rng)
+    return merge(wood), _leaves(root, 0.32, rng)
 
 
 def _leaves(root: Array, length: float, rng: np.random.Generator) -> Mesh:
@@ -77,8 +77,8 @@ def build_vegetation(detail: float, rng: np.random.Generator) -> Parts:
     z = _ground(e[:, None], e[None, :], seed, 0.9, 14.0)
     p.add("ground", height_field(e, e, z))
     species = 6 if detail > 0.5 else 3
-    levels = 4 if detail > 3 else 3 if detail > 0.12 else 2
-    count = cells({2: 60, 3: 42, 4: 26}[levels], detail**0.55, 5)
+    levels = 4 if detail > 3 else 3 if detail > 0.3 else 2
+    count = cells({2: 110, 3: 80, 4: 40}[levels], detail**0.55, 5)
     spot = rng.uniform(-29, 29, (6 * count, 2))
     spot = spot[np.abs(spot).min(axis=1) > 3.5][:count]
     kind = np.arange(len(spot)) % species
@@ -91,12 +91,12 @@ def build_vegetation(detail: float, rng: np.random.Generator) -> Parts:
             levels,
             4,
             cells(6, s**0.3, 4),
-            cells({2: 40, 3: 22, 4: 12}[levels], detail**0.2, 4),
+            cells({2: 40, 3: 16, 4: 10}[levels], detail**0.2, 4),
         )
         m = rot_z(turn[kind == i]) * size[kind == i, None, None]
         p.add("bark", instance(wood, m, foot[kind == i]))
         p.add("leaves_green" if i % 3 else "leaves_yellow", instance(leaf, m, foot[kind == i]))
-    k = cells(9000, detail, 100)
+    k = cells(22000, detail, 100)
     g = rng.uniform(-29.5, 29.5, (k, 2))
     root = np.c_[g, _ground(g[:, 0], g[:, 1], seed, 0.9, 14.0) - 0.03]
     tip = root + np.c_[0.12 * rng.normal(size=(k, 2)), rng.uniform(0.15, 0.5, k)]
@@ -117,7 +117,7 @@ def build_pines(detail: float, rng: np.random.Generator) -> Parts:
         return 0.18 * y + _ground(x, y, seed, 1.6, 18.0)
 
     p.add("snow", height_field(e, e, slope(e[:, None], e[None, :])))
-    count = cells(70, detail**0.5, 12)
+    count = cells(150, detail**0.5, 16)
     spot = rng.uniform(-39, 39, (8 * count, 2))
     # A clearing along x = 0 for the cameras.
     spot = spot[np.abs(spot[:, 0]) > 4.0][:count]
@@ -160,7 +160,7 @@ def _pine(detail: float, s: float, rng: np.random.Generator) -> tuple[Mesh, Mesh
         -1,
     )
     bough = tubes(path, 0.04 * (1 - 0.8 * u)[None], cells(4, s**0.5, 3), caps=(False, False))
-    k = cells(9, detail**0.35, 4)
+    k = cells(7, detail**0.35, 3)
     at = rng.uniform(0.15, 1.0, (len(h), k)) * 3
     lo = np.minimum(at.astype(int), 2)
     i = np.arange(len(h))[:, None]
@@ -170,7 +170,7 @@ def _pine(detail: float, s: float, rng: np.random.Generator) -> tuple[Mesh, Mesh
     side = normalized(np.cross(to, rng.normal(size=root.shape)))
     # Fewer needles are wider ones, so that a small forest is as dense as a large one.
     size = rng.uniform(0.35, 0.6, (len(root), 1))
-    return trunk, bough, blades(root, root + size * to, side * 0.09 / k**0.5 * 3 * 0.5)
+    return trunk, bough, blades(root, root + size * to, side * 0.28 / k**0.5)
 
 
 def build_ivy(detail: float, rng: np.random.Generator) -> Parts:
@@ -261,7 +261,7 @@ def build_ivy(detail: float, rng: np.random.Generator) -> Parts:
 RECIPES = [
     Recipe(
         SceneInfo(
-            "vegetation", "Broad-leaved trees over rolling grass", "foliage", 120_000, "Vegetation"
+            "vegetation", "Broad-leaved trees over rolling grass", "foliage", 200_000, "Vegetation"
         ),
         build_vegetation,
     ),

@@ -246,7 +246,8 @@ def revolve(profile: ArrayLike, sides: int) -> Mesh:
     # A profile point on the axis makes one of the two triangles of each cell a line: leave it out.
     keep[p[:-1, 0] == 0.0, :, 1] = False
     keep[p[1:, 0] == 0.0, :, 0] = False
-    return v, f[keep]
+    # Turned round so that normals point outwards for a profile that goes up: lamps need it.
+    return v, f[keep][:, ::-1]
 
 
 def smooth_profile(points: ArrayLike, n: int) -> Array:
