@@ -1,0 +1,262 @@
+"""`treelet` and `streelet` against all trees there are, and their own bookkeeping."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+from conftest import soup
+
+import mibvh
+from mibvh.builders import Context, get
+from mibvh.builders.draft import Draft, References
+from mibvh.builders.finish import draft_boxes, draft_sah
+from mibvh.builders.morton import radix_draft
+from mibvh.builders.rotations import box_area, depth_first
+from mibvh.builders.splitting import presplit
+from mibvh.builders.treelet import (
+    _LANES,
+    RearrangeOptions,
+    _grow,
+    _improve_all,
+    _solve,
+    nodes_above,
+    rearrange,
+    subtree_costs,
+)
+from mibvh.errors import MibvhError
+
+CONTEXT = Context()
+
+
+def all_trees(leaves):
+    """Every binary tree over the leaves, as nested pairs: (2n - 3)!! of them."""
+    if len(leaves) == 1:
+        yield leaves[0]
+        return
+
+    def with_leaf(tree, leaf):
+        yield (tree, leaf)
+        if isinstance(tree, tuple):
+            yield from ((new, tree[1]) for new in with_leaf(tree[0], leaf))
+            yield from ((tree[0], new) for new in with_leaf(tree[1], leaf))
+
+    for tree in all_trees(leaves[:-1]):
+        yield from with_leaf(tree, leaves[-1])
+
+
+def tree_cost(tree, box, count, cost, c_inner, c_tri, max_leaf):
+    """Box, triangles and cost of a tree whose every subtree may be one leaf instead."""
+    if not isinstance(tree, tuple):
+        return box[tree], count[tree], cost[tree]
+    (box_a, count_a, cost_a), (box_b, count_b, cost_b) = (
+        tree_cost(part, box, count, cost, c_inner, c_tri, max_leaf) for part in tree
+    )
+    joint = np.concatenate([np.minimum(box_a, box_b)[:3], np.maximum(box_a, box_b)[3:]])
+    x, y, z = joint[3:].astype(np.float64) - joint[:3]
+    area, total = x * y + y * z + z * x, count_a + count_b
+    best = c_inner * area + cost_a + cost_b
+    if total <= max_leaf:
+        best = min(best, c_tri * area * total)
+    return joint, total, best
+
+
+def cheapest(*args):
+    leaves = list(range(len(args[0])))
+    return min(tree_cost(tree, *args)[2] for tree in all_trees(leaves))
+
+
+def options_of(**options):
+    return RearrangeOptions(**options)
+
+
+def sah_of(draft, options):
+    return draft_sah(draft, c_inner=options.c_inner, c_tri=options.c_tri, max_leaf=options.max_leaf)
+
+
+@pytest.mark.parametrize("size", [3, 4, 5, 6])
+def test_the_programme_finds_the_best_of_all_trees(size):
+    """Costs of subtrees, triangles and limits of all kinds, so that leaves form or do not."""
+    rng = np.random.default_rng(size)
+    for c_inner, c_tri, max_leaf in ((1.2, 1.0, 8), (1.2, 1.0, 1), (5.0, 0.3, 12), (0.0, 1.0, 255)):
+        lower = rng.random((size, 3, _LANES)) * [[[3], [1], [2]]]
+        box = np.concatenate([lower, lower + rng.random((size, 3, _LANES)) ** 3], axis=1)
+        count = rng.integers(1, 5, (size, _LANES)).astype(np.float64)
+        cost = count * rng.random((size, _LANES))
+        arrays = [np.zeros((1 << size, *part.shape[1:])) for part in (box, count, cost)]
+        arrays[0] = arrays[0].astype(np.float32)
+        for array, part in zip(arrays, (box, count, cost), strict=True):
+            array[1 << np.arange(size)] = part
+        _solve(size, c_inner, c_tri, max_leaf, *arrays)
+        for lane in range(_LANES):
+            treelet = box.astype(np.float32)[..., lane], count[:, lane], cost[:, lane]
+            expected = cheapest(*treelet, c_inner, c_tri, max_leaf)
+            assert arrays[2][-1, lane] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("max_leaf", [1, 2, 8])
+@pytest.mark.parametrize("count", [2, 3, 5, 6])
+def test_a_scene_of_one_treelet_gets_the_best_tree_there_is(count, max_leaf):
+    options = options_of(max_leaf=max_leaf)
+    for seed in range(5):
+        triangles = soup(count, seed, size=0.4)
+        refs = References.of(triangles)
+        boxes = np.concatenate([refs.lower, refs.upper], axis=1)
+        x, y, z = (boxes[:, 3:].astype(np.float64) - boxes[:, :3]).T
+        areas = x * y + y * z + z * x
+        args = boxes, np.ones(count), areas * options.c_tri
+        least = cheapest(*args, options.c_inner, options.c_tri, max_leaf)
+        result = rearrange(radix_draft(refs), options, CONTEXT)
+        whole = box_area(draft_boxes(result), 0)
+        assert sah_of(result, options) == pytest.approx(least / whole, rel=1e-6)
+
+
+def test_treelets_grow_by_their_largest_leaf():
+    draft = radix_draft(References.of(soup(300, 3)))
+    left, right, _, count, box = depth_first(draft)
+    for root in np.flatnonzero(count >= 7):
+        leaves, inner = [left[root], right[root]], [root]
+        while len(leaves) < 7:
+            areas = [box_area(box, n) if left[n] >= 0 else -1.0 for n in leaves]
+            node = leaves.pop(int(np.argmax(areas)))
+            inner.append(node)
+            leaves += [left[node], right[node]]
+        got = np.full((2, 8, _LANES), -1, np.int32)
+        _grow(root, 7, 3, left, right, box, got[0], got[1])
+        assert set(got[0, :7, 3]) == set(leaves)
+        assert got[1, :6, 3].tolist() == inner
+        assert (got[:, :, [0, 1, 2, 4, 5, 6, 7]] == -1).all()
+
+
+def test_nodes_come_lowest_first_and_never_two_on_one_path_together():
+    left, right, _, count, _ = depth_first(radix_draft(References.of(soup(500, 1))))
+    for least in (2, 7, 100, 500, 501):
+        nodes, ends = nodes_above(0, least, left, right, count)
+        assert sorted(nodes) == np.flatnonzero((count >= least) & (left >= 0)).tolist()
+        assert len(nodes) == (ends[-1] if len(ends) else 0)
+        height = np.zeros(len(left), int)
+        height[nodes] = 1 + np.searchsorted(ends, np.arange(len(nodes)), side="right")
+        np.testing.assert_array_equal(
+            height[nodes], 1 + np.maximum(height[left[nodes]], height[right[nodes]])
+        )
+
+
+@pytest.mark.parametrize("max_leaf", [1, 8])
+def test_costs_boxes_and_counts_are_kept_up_to_date(max_leaf):
+    refs = References.of(soup(700, 5))
+    left, right, reference, count, box = depth_first(radix_draft(refs))
+    costs = 1.2, 1.0, max_leaf
+    cost = subtree_costs(left, right, box, count, *costs)
+    before = cost[0]
+    for least in (7, 14, 28):
+        nodes, ends = nodes_above(0, least, left, right, count)
+        rebuilt = _improve_all(nodes, ends, 7, left, right, box, count, cost, *costs)
+        assert rebuilt > 0
+        assert cost[0] < before
+        before = cost[0]
+        result = Draft(refs, left, right, reference)
+        np.testing.assert_array_equal(box, draft_boxes(result))
+        drawn = depth_first(result)
+        anew = subtree_costs(*drawn[:2], drawn[4], drawn[3], *costs)
+        np.testing.assert_array_equal(np.sort(cost), np.sort(anew))
+        np.testing.assert_array_equal(np.sort(count), np.sort(drawn[3]))
+        sah = draft_sah(result, c_inner=1.2, c_tri=1.0, max_leaf=max_leaf)
+        assert sah == pytest.approx(cost[0] / box_area(box, 0), rel=1e-5)
+
+
+@pytest.mark.parametrize("max_leaf", [1, 8])
+def test_a_better_tree_from_any_start(max_leaf):
+    triangles = soup(1500, seed=7)
+    for name, options in (
+        ("treelet", {}),
+        ("treelet", {"start": "bbvh"}),
+        ("treelet", {"size": 4, "rounds": 1}),
+        ("treelet", {"size": 8}),
+        ("streelet", {}),
+        ("treelet", {"start": "streelet"}),
+    ):
+        tree = mibvh.build(triangles, name, max_leaf=max_leaf, **options)
+        report = tree.meta["report"]
+        assert tree.validate(triangles) == []
+        assert tree.count[tree.left < 0].max() <= max_leaf
+        assert report["end_sah"] < report["start_sah"]
+        assert mibvh.sah(tree) == pytest.approx(report["end_sah"], rel=1e-5)
+        assert report["iterations"] == options.get("rounds", 3)
+        assert 0 < report["rebuilt"] <= report["treelets"]
+
+
+def test_more_rounds_and_larger_treelets_lower_sah():
+    draft = radix_draft(References.of(soup(3000, seed=8)))
+    sah = {
+        (size, rounds): rearrange(draft, options_of(size=size, rounds=rounds), CONTEXT).report[
+            "end_sah"
+        ]
+        for size, rounds in ((4, 1), (7, 1), (7, 3), (7, 0), (7, 24))
+    }
+    assert sah[7, 3] < sah[7, 1] < sah[4, 1] < sah[7, 0]
+    assert sah[7, 24] <= sah[7, 3]
+
+
+def test_the_same_tree_on_one_thread_and_on_two():
+    triangles = soup(6000, seed=1)
+    drafts = []
+    for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
+        numba.set_num_threads(threads)
+        entry = get("streelet")
+        drafts.append(entry.draft(triangles, entry.options(), CONTEXT))
+    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    np.testing.assert_array_equal(drafts[0].left, drafts[1].left)
+    np.testing.assert_array_equal(drafts[0].right, drafts[1].right)
+    assert drafts[0].report == drafts[1].report
+
+
+def test_splitting_adds_what_beta_allows():
+    triangles = soup(800, seed=3, size=0.3)
+    entry = get("streelet")
+    for beta in (0.0, 0.3, 1.0):
+        draft = entry.draft(triangles, entry.options(beta=beta), CONTEXT)
+        assert draft.report["references"] == len(presplit(triangles, beta))
+        assert len(draft.references) <= (1 + beta) * len(triangles)
+        assert (len(draft.references) > len(triangles)) == (beta > 0)
+
+
+def test_a_start_as_deep_as_it_is_long():
+    triangles = soup(3000, seed=9)
+    nested = 0
+    for i in range(1, len(triangles)):
+        nested = (i, nested)
+    result = rearrange(Draft.from_nested(nested, triangles), options_of(), CONTEXT)
+    assert result.report["end_sah"] < 0.5 * result.report["start_sah"]
+    assert sorted(result.reference[result.left < 0]) == list(range(len(triangles)))
+
+
+def test_progress_is_told_and_rises():
+    told = []
+    draft = radix_draft(References.of(soup(2000, seed=2)))
+    rearrange(draft, options_of(), Context(lambda stage, done: told.append(done)))
+    assert told == sorted(told)
+    assert 0.0 < told[0] <= told[-1] == 1.0
+
+
+@pytest.mark.parametrize("name", ["treelet", "streelet"])
+@pytest.mark.parametrize(
+    "corners",
+    [
+        np.zeros((1, 3, 3)),
+        np.zeros((9, 3, 3)),
+        np.tile(np.eye(3), (33, 1, 1)),
+        soup(50).corners * [1, 1, 0],
+        soup(50).corners * 1e-20,
+        soup(50).corners * 1e14,
+    ],
+    ids=["single", "point", "copies", "flat", "tiny", "huge"],
+)
+def test_degenerate_scenes(name, corners):
+    triangles = mibvh.Triangles(corners, "degenerate")
+    assert mibvh.build(triangles, name).validate(triangles) == []
+
+
+def test_impossible_options_are_refused():
+    for options in ({"size": 9}, {"size": 3}, {"rounds": -1}, {"start": "nothing"}):
+        with pytest.raises(MibvhError):
+            mibvh.build(soup(10), "treelet", **options)
