@@ -65,7 +65,7 @@ class InsertionOptions(Options):
         5, "select at random after so many batches without gain", 1, 1_000_000
     )
     tolerance: float = option(
-        1e-5, "least relative gain of a batch that counts; 0 goes on to the last move", 0.0, 1.0
+        1e-6, "least relative gain of a batch that counts; 0 goes on to the last move", 0.0, 1.0
     )
     undo: bool = option(True, "put a node back if moving its children gains nothing")
     seed: int = option(0, "seed of the random selection", 0, 2**63 - 1)
