@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
 import importlib
+import inspect
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -100,6 +103,18 @@ class Builder:
         """Run the builder proper, without the shared finishing."""
         result = self.function(triangles, options, context)
         return result if isinstance(result, Draft) else Draft.from_nested(result, triangles)
+
+    def fingerprint(self) -> str:
+        """Hash of the builder's code: a tree kept for an older version of it is not this one's."""
+        if self.name in _BUNDLED:
+            files = sorted(Path(__file__).parent.glob("*.py"))
+            text = b"".join(path.read_bytes() for path in files)
+        else:
+            source = inspect.getsourcefile(self.function)
+            text = Path(source).read_bytes() if source and Path(source).exists() else (
+                self.function.__code__.co_code
+            )
+        return hashlib.sha256(text).hexdigest()
 
     def describe(self) -> dict[str, Any]:
         """Return a JSON-able description with the options' defaults and ranges."""

@@ -25,6 +25,7 @@ from mibvh.studies.store import Store, key_of
 from mibvh.traversal.records import make_records, unit_scale
 from mibvh.traversal.trace import Tracer, trace
 from mibvh.tree import Tree
+from mibvh.variant import mitsuba
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -145,10 +146,11 @@ def study_scene(
     rays = store.array(RaySet, rays_key, lambda: diffuse_rays(scene, **options.rays()))
     count = len(options.builders)
     trees: list[Tree] = []
+    tree_keys: list[str] = []
     rows: list[dict[str, Any]] = []
     for i, name in enumerate(options.builders):
         progress(scene.name, f"build {name}", 0.02 + 0.5 * i / count)
-        tree_key = key_of(digest=triangles.digest, builder=name)
+        tree_key = key_of(digest=triangles.digest, builder=name, code=get(name).fingerprint())
         tree = store.array(Tree, tree_key, functools.partial(build, triangles, name))
         progress(scene.name, f"metrics {name}", 0.02 + 0.5 * (i + 0.5) / count)
         row = _kept(store, f"metrics-{tree_key}", lambda tree=tree: tree_metrics(tree, scene))
@@ -160,11 +162,12 @@ def study_scene(
             lambda tree=tree: _counts(tree, scene, rays, options),
         )
         trees.append(tree)
+        tree_keys.append(tree_key)
         rows.append({"builder": name, **row, **counts})
     timing = {}
     for m, lanes in enumerate(("scalar", "simd")):
         key = key_of(
-            digest=triangles.digest,
+            trees=tree_keys,
             rays=rays_key,
             lanes=lanes,
             options=dataclasses.asdict(options),
@@ -207,9 +210,12 @@ def _kept(store: Store, name: str, make: Callable[[], dict[str, Any]]) -> dict[s
     return value
 
 
-def _cameras(scene: Scene) -> list[str]:
-    """What the rays depend on besides the triangles, as text."""
-    return [str(sensor) for sensor in scene.sensors]
+def _cameras(scene: Scene) -> list[Any]:
+    """What the rays depend on besides the triangles: where some camera rays start and go."""
+    mi = mitsuba()
+    x, y = mi.Float([0.1, 0.9, 0.5, 0.1, 0.9]), mi.Float([0.1, 0.1, 0.5, 0.9, 0.9])
+    rays = [s.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(y, x))[0] for s in scene.sensors]
+    return [[np.array(ray.o).tolist(), np.array(ray.d).tolist()] for ray in rays]
 
 
 def tree_metrics(tree: Tree, scene: Scene) -> dict[str, Any]:

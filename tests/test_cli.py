@@ -1,0 +1,149 @@
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import mibvh
+from mibvh.cli import main
+
+
+def run(capsys, monkeypatch, *arguments):
+    """Run the command line in this process; returns (exit code, stdout, stderr)."""
+    monkeypatch.setattr(sys, "argv", ["mibvh", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    captured = capsys.readouterr()
+    return ended.value.code or 0, captured.out, captured.err
+
+
+@pytest.fixture
+def cli(capsys, monkeypatch):
+    return lambda *arguments: run(capsys, monkeypatch, *arguments)
+
+
+def test_the_whole_path(cli, tmp_path):
+    scene = "cornell@3000"
+    tree, rays, hits = (tmp_path / name for name in ("t.npz", "r.npz", "h.npz"))
+    code, out, _ = cli("build", scene, "--builder", "lbvh", "-o", tree, "--json")
+    built = json.loads(out)
+    assert code == 0
+    assert built["builder"] == "lbvh"
+    assert built["sah"] == mibvh.sah(mibvh.Tree.load(tree))
+    assert {"triangles", "references", "nodes", "leaves", "depth", "build_seconds"} <= set(built)
+    code, out, _ = cli("metrics", scene, tree, "--json")
+    metrics = json.loads(out)
+    assert metrics["sah"] == built["sah"]
+    assert metrics["epo"] > 0
+    assert {"nodes", "leaves", "depth", "mean_leaf_size"} <= set(metrics)
+    code, out, _ = cli("rays", scene, "-o", rays, "--width", 32, "--height", 24, "--bounces", 2, "--json")
+    made = json.loads(out)
+    assert made["rays"] == len(mibvh.RaySet.load(rays))
+    assert made["rays_per_bounce"]["1"] + made["rays_per_bounce"]["2"] == made["rays"]
+    for lanes in ("simd", "scalar"):
+        code, out, _ = cli("trace", scene, tree, rays, "--lanes", lanes, "-o", hits, "--json")
+        traced = json.loads(out)
+        assert traced["rays"] == made["rays"]
+        assert traced["ns_per_ray"] > 0
+        with np.load(hits) as kept:
+            assert kept["t"].dtype == np.float32
+            assert kept["triangle"].dtype == np.int32
+            assert int((kept["triangle"] >= 0).sum()) == traced["hits"]
+            assert kept["leaves"].astype(float).std() == pytest.approx(traced["lcv"])
+            assert np.isinf(kept["t"][kept["triangle"] < 0]).all()
+
+
+def test_options_reach_the_builder(cli, tmp_path):
+    cli("build", "cornell@3000", "-o", tmp_path / "t.npz", "--option", "max_leaf=1", "--json")
+    assert mibvh.Tree.load(tmp_path / "t.npz").count.min() == 1
+    assert mibvh.Tree.load(tmp_path / "t.npz").stats()["max_leaf_size"] == 1
+
+
+def test_a_plugin_registers_a_builder(cli, tmp_path):
+    plugin = tmp_path / "mine.py"
+    plugin.write_text(
+        "import mibvh, numpy as np\n"
+        "@mibvh.builder('mine', summary='halves')\n"
+        "def mine(triangles, options, context):\n"
+        "    return np.arange(len(triangles))\n"
+    )
+    code, out, _ = cli("--plugin", plugin, "builders", "--json")
+    assert code == 0
+    names = [b["name"] for b in json.loads(out)["builders"]]
+    assert names[0] == "bbvh"
+    assert "mine" in names
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["build", "nowhere.ply", "-o", "t.npz"], "nowhere.ply: there is no such file"),
+        (["build", "cornell@3000", "-o", "t.npz", "--builder", "oak"], "no builder 'oak'"),
+        (["build", "cornell@3000", "-o", "t.npz", "--option", "leaf=3"], "no option 'leaf'"),
+        (["build", "cornell@3000", "-o", "t.npz", "--option", "max_leaf=0"], "from 1 to 255"),
+        (["build", "cornell@3000", "-o", "t.npz", "--option", "max_leaf=two"], "takes a int"),
+        (["build", "cornell@3000", "-o", "t.npz", "--option", "x"], "NAME=VALUE"),
+        (["build", "cornell@3000", "-o", "absent/t.npz"], "absent/t.npz: cannot be written"),
+        (["metrics", "cornell@3000", "absent.npz"], "absent.npz: there is no such tree file"),
+        (["study", "cornell@3000", "-o", "out", "--profile", "slow"], "--profile is one of"),
+        (["report", "absent"], "no finished scene"),
+        (["--plugin", "absent.py", "builders"], "no such Python file"),
+    ],
+)
+def test_mistakes_get_one_sentence(cli, tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = cli(*arguments)
+    assert code == 2
+    assert said in err
+    assert err.count("\n") == 1
+    assert out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_usage_errors_exit_with_2(cli):
+    code, _, err = cli("build")
+    assert code == 2
+    assert "SCENE" in err
+
+
+@pytest.mark.parametrize(
+    "command", ["build", "metrics", "rays", "trace", "study", "report", "builders", "doctor", "scenes"]
+)
+def test_help(cli, command):
+    code, out, _ = cli(command, "--help")
+    assert code == 0
+    assert "Usage" in out
+
+
+def test_doctor(cli):
+    code, out, _ = cli("doctor", "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert found["ready"]
+    assert found["environment"]["lane_width"] >= 4
+
+
+def test_import_is_quick_and_touches_no_variant():
+    program = (
+        "import sys, time; t = time.perf_counter(); import mibvh;"
+        "assert 'mitsuba' not in sys.modules and 'numba' not in sys.modules;"
+        "print(time.perf_counter() - t)"
+    )
+    times = [
+        float(subprocess.run([sys.executable, "-c", program], capture_output=True, text=True,
+                             check=True, env=dict(os.environ)).stdout)
+        for _ in range(3)
+    ]  # fmt: skip
+    assert min(times) < 1.0
+
+
+def test_scenes_make_and_show(cli, tmp_path):
+    code, out, _ = cli("scenes", "make", "cornell", "--triangles", 3000, "-o", tmp_path)
+    assert code == 0
+    assert (tmp_path / "cornell" / "scene.xml").exists()
+    code, out, _ = cli("scenes", "show", tmp_path / "cornell" / "scene.xml", "-o", tmp_path / "p.png", "--json")
+    assert code == 0
+    assert json.loads(out)["triangles"] > 1000
+    assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")

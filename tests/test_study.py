@@ -1,0 +1,153 @@
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import soup
+
+import mibvh
+from mibvh.studies.run import read_study, write_outputs
+from mibvh.studies.stopwatch import Timings, measure
+from mibvh.studies.store import Store
+
+CHOICES = {"width": 24, "height": 16, "scalar_rays": 512, "seconds": 0.0}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, cornell):
+    folder = tmp_path_factory.mktemp("study")
+    stages = []
+    return (
+        mibvh.study([cornell], folder, builders=("bbvh", "lbvh", "treewise"),
+                    progress=lambda *stage: stages.append(stage), **CHOICES),
+        stages,
+    )  # fmt: skip
+
+
+@mibvh.builder("treewise", summary="halves the list of triangles", source="the test")
+def treewise(triangles, options, context):
+    """Register a builder of the user's own, which the study takes like the others."""
+    return np.arange(len(triangles))
+
+
+def test_table(finished, cornell):
+    table = finished[0].table
+    assert table["builder"].tolist() == ["bbvh", "lbvh", "treewise"]
+    rays = mibvh.diffuse_rays(cornell, width=24, height=16, samples=1)
+    for _, row in table.iterrows():
+        tree = mibvh.build(cornell.triangles, row["builder"])
+        assert row["sah"] == mibvh.sah(tree)
+        assert row["epo"] == mibvh.epo(tree, cornell.triangles)
+        hits = mibvh.trace(tree, cornell.triangles, rays, repeats=1)
+        assert row["lcv"] == hits.lcv
+        assert row["counted_cost"] == pytest.approx(hits.counted_cost())
+        assert row["scalar_ns"] > 0
+        assert row["simd_ns"] > 0
+
+
+def test_files(finished):
+    study = finished[0]
+    tidy = pd.read_parquet(study.folder / "results.parquet")
+    one = tidy.query("builder == 'lbvh' and measurement == 'sah'")
+    assert one["value"].tolist() == study.table.query("builder == 'lbvh'")["sah"].tolist()
+    assert one["lane_width"].iloc[0] == study.environment["lane_width"]
+    page = study.report.read_text()
+    for text in ("cornell", "treewise", "<svg", "data-tip"):
+        assert text in page
+    assert "http://" not in page.replace("http://www.w3.org", "").replace("http://purl.org", "").replace(
+        "http://creativecommons.org", "")  # fmt: skip
+    assert json.loads((study.folder / "environment.json").read_text()) == study.environment
+    assert (study.folder / "figures" / f"{study.scenes[0]['scene']}-scalar.png").stat().st_size > 5000
+
+
+def test_progress_ends_at_one(finished):
+    done = [share for _, _, share in finished[1]]
+    assert done[-1] == 1.0
+    assert done == sorted(done)
+
+
+def test_again_recomputes_nothing_and_report_remakes(finished, cornell, monkeypatch):
+    study = finished[0]
+    before = {p: p.stat().st_mtime_ns for p in (study.folder / "cache").glob("t*")}
+    for name in ("build", "measure", "diffuse_rays", "trace", "overlap"):
+        monkeypatch.setattr(f"mibvh.studies.run.{name}", lambda *_, name=name, **__: pytest.fail(name))
+    again = mibvh.study([cornell], study.folder, builders=("bbvh", "lbvh", "treewise"), **CHOICES)
+    assert again.table.equals(study.table)
+    assert {p: p.stat().st_mtime_ns for p in (study.folder / "cache").glob("t*")} == before
+    study.report.unlink()
+    found = read_study(study.folder)
+    write_outputs(found.folder, found.scenes)
+    assert study.report.exists()
+
+
+def test_a_damaged_piece_is_made_anew(finished, cornell):
+    study = finished[0]
+    tree = next((study.folder / "cache").glob("tree-*.npz"))
+    metrics = next((study.folder / "cache").glob("metrics-*.json"))
+    tree.write_bytes(tree.read_bytes()[:1000])
+    metrics.write_text(metrics.read_text().replace('"sah": ', '"sah": 9'))
+    again = mibvh.study([cornell], study.folder, builders=("bbvh", "lbvh", "treewise"), **CHOICES)
+    for name in ("sah", "epo", "lcv", "counted_cost"):
+        assert again.table[name].tolist() == study.table[name].tolist()
+    assert mibvh.Tree.load(tree).validate() == []
+
+
+def test_impossible_studies(tmp_path, cornell):
+    with pytest.raises(mibvh.MibvhError, match="at least one scene"):
+        mibvh.study([], tmp_path)
+    with pytest.raises(mibvh.MibvhError, match="no builder 'oak'"):
+        mibvh.study([cornell], tmp_path, builders=("oak",))
+    with pytest.raises(mibvh.MibvhError, match="named twice"):
+        mibvh.study([cornell], tmp_path, builders=("bbvh", "bbvh"))
+    with pytest.raises(mibvh.MibvhError, match="two scenes are called"):
+        mibvh.study([cornell, cornell], tmp_path, builders=("bbvh",), **CHOICES)
+    with pytest.raises(mibvh.MibvhError, match="no finished scene"):
+        read_study(tmp_path / "nothing")
+
+
+def test_stopwatch_takes_the_drift_out():
+    """Two trees of which one takes 2% longer, on a machine that drifts by a factor of three."""
+    rng = np.random.default_rng(0)
+    drift = np.repeat(np.linspace(1, 3, 40), 2)
+    wobble = 1 + 0.01 * rng.normal(size=80)
+    readings = iter([1.0, 1.02, *(drift * wobble)])
+    factors = iter([1, 1, *np.tile([1.0, 1.02], 40)])
+    turn = [0]
+
+    def launch(k):
+        turn[0] += 1
+        next(factors)
+        return next(readings) * (1.02 if k else 1.0)
+
+    timings = measure([lambda: launch(0), lambda: launch(1)], seconds=1e9, standard_error=0.002)
+    assert timings.complete
+    ratio = timings.estimate[1] / timings.estimate[0]
+    assert ratio == pytest.approx(1.02, abs=0.008)
+
+
+def test_standard_error_is_that_of_the_median():
+    """Over many repetitions, estimates scatter as their own errors say."""
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(300):
+        seconds = 1 + 0.02 * rng.normal(size=(25, 4))
+        timings = Timings(seconds, True)
+        found.append((timings.estimate[0], timings.relative_error[0]))
+    estimates, errors = np.array(found).T
+    assert estimates.std() == pytest.approx(errors.mean(), rel=0.35)
+
+
+def test_store_rejects_damage(tmp_path):
+    store = Store(tmp_path / "kept")
+    store.write("piece", {"value": 3})
+    assert store.read("piece") == {"value": 3}
+    path = tmp_path / "kept" / "piece.json"
+    path.write_text(path.read_text().replace("3", "4"))
+    assert store.read("piece") is None
+    assert store.read("absent") is None
+    calls = []
+    tree = store.array(mibvh.Tree, "k", lambda: calls.append(1) or mibvh.build(soup(9), "lbvh"))
+    assert store.array(mibvh.Tree, "k", lambda: calls.append(2)).references.tolist() == (
+        tree.references.tolist()
+    )
+    assert calls == [1]
