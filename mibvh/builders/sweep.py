@@ -181,10 +181,9 @@ def _best_split(lists, first, total, n, areas):
         if extent > width:
             widest, width = axis, extent
     best = (np.float32(np.inf), np.int64(n), 3, np.int64(0))
-    best = _sweep(lists, first + np.uint64(widest) * total, n, widest, best, areas)
-    for axis in range(3):
-        if axis != widest:
-            best = _sweep(lists, first + np.uint64(axis) * total, n, axis, best, areas)
+    for step in range(3):
+        axis = (widest + step) % 3
+        best = _sweep(lists, first + np.uint64(axis) * total, n, axis, best, areas)
     return best
 
 
@@ -256,7 +255,7 @@ def _part(lists, source, target, total, n, axis, at):
 
 @njit
 def _part_small(lists, source, target, total, n, axis, at):
-    """The same with the three lists side by side."""
+    """Do the same with the three lists side by side."""
     row = source + np.uint64(axis) * total + at - np.uint64(1)
     bound, bound_id = lists[row, axis] - lists[row, axis + 4], lists[row, 3]
     y, z = total, np.uint64(2) * total
@@ -338,7 +337,8 @@ def _split_all(lists, total, tasks, starts, left, right, reference, children):
     for g in numba.prange(len(starts) - 1):
         for i in range(starts[g], starts[g + 1]):
             begin, n, node, side = tasks[i]
-            at = _split(lists, total, begin, n, side, np.empty(n, np.float32))
+            areas = np.empty(max(n, 3 * _SMALL), np.float32)
+            at = _split(lists, total, begin, n, side, areas)
             left[node], right[node], reference[node] = node + 1, node + 2 * at, -1
             children[i, 0] = begin, at, node + 1, 1 - side
             children[i, 1] = begin + at, n - at, node + 2 * at, 1 - side
@@ -370,16 +370,17 @@ def _build(lists: F32, links: tuple[I32, I32, I32], context: Context) -> None:
     """Build the tree: level by level at the top, then subtree by subtree."""
     total = len(lists) // 6
     limit = max(total // (_TASKS_PER_THREAD * numba.get_num_threads()), _TASK)
-    tasks = np.array([[0, total, 0, 0]], np.int64)
-    ready = []
-    while len(tasks):
-        ready.append(tasks[tasks[:, 1] <= limit])
-        tasks, starts = _shares(tasks[tasks[:, 1] > limit])
-        children = np.empty((len(tasks), 2, 4), np.int64)
-        if len(tasks):
-            _split_all(lists, total, tasks, starts, *links, children)
+    # The root is split here at any size, so that a small tree compiles all that a large one runs.
+    root = np.array([[0, total, 0, 0]], np.int64)
+    large, small = (root, [root[:0]]) if total > 1 else (root[:0], [root])
+    while len(large):
+        large, starts = _shares(large)
+        children = np.empty((len(large), 2, 4), np.int64)
+        _split_all(lists, total, large, starts, *links, children)
         tasks = children.reshape(-1, 4)
-    tasks = np.concatenate(ready)
+        small.append(tasks[tasks[:, 1] <= limit])
+        large = tasks[tasks[:, 1] > limit]
+    tasks = np.concatenate(small)
     tasks = tasks[np.argsort(-tasks[:, 1], kind="stable")]
     batches = -(-total // _BATCH)
     for batch in range(batches):
