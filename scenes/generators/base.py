@@ -112,6 +112,7 @@ def build_to_size(recipe: Recipe, triangles: int, seed: int) -> Parts:
     low, high = 0.0, np.inf
     best: Parts | None = None
     best_error = np.inf
+    last_count, last_detail = 0, 0.0
     for _ in range(12):
         parts = recipe.build(detail, np.random.default_rng([seed, label]))
         ratio = parts.count() / triangles
@@ -120,6 +121,10 @@ def build_to_size(recipe: Recipe, triangles: int, seed: int) -> Parts:
             best, best_error = parts, error
         if error < 0.08:
             break
+        # Much less detail and hardly fewer triangles: this is the natural minimum.
+        if ratio > 1.2 and detail < 0.6 * last_detail and parts.count() > 0.9 * last_count:
+            break
+        last_count, last_detail = parts.count(), detail
         if ratio < 1.0:
             low = max(low, detail)
         else:

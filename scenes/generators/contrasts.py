@@ -145,7 +145,7 @@ def build_stadium(detail: float, rng: np.random.Generator) -> Parts:
 
 
 def build_circuit(detail: float, rng: np.random.Generator) -> Parts:
-    """Make a printed circuit board of 160 x 100 mm: copper in thin layers, chips with pins, parts."""
+    """Make a circuit board of 160 x 100 mm: copper in thin layers, chips with pins, parts."""
     s = float(np.sqrt(detail))
     p = Parts()
     p.add("board", boxes([0, 0, -1.6], [160, 100, 0]))
