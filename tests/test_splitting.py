@@ -31,13 +31,14 @@ def clipped(points, box):
 def split(corners, box, axis, plane):
     """Call the primitive; return (found, left, right) with (2, 3) boxes."""
     row = np.zeros((1, 8), np.float32)
-    row[0, 0:3], row[0, 4:7] = box
+    row[0, 0:3], row[0, 4:7] = box[0], -box[1]
     left, right = np.full((2, 8), np.nan, np.float32)
     scratch = np.empty((2, MAX_CORNERS, 3))
     found = split_reference(
         corners[None], 0, SCALE, row, 0, axis, np.float32(plane), left, right, *scratch
     )
-    return found, left[[0, 1, 2, 4, 5, 6]].reshape(2, 3), right[[0, 1, 2, 4, 5, 6]].reshape(2, 3)
+    left, right = (np.stack([half[0:3], -half[4:7]]) for half in (left, right))
+    return found, left, right
 
 
 coordinate = st.one_of(

@@ -132,6 +132,7 @@ class Builder:
 #: The paper's builders in the paper's order, and the module each one lives in.
 _BUNDLED: dict[str, str] = {
     "bbvh": "mibvh.builders.sweep",
+    "sbvh": "mibvh.builders.spatial",
     "agglo": "mibvh.builders.agglomerative",
     "lbvh": "mibvh.builders.morton",
     "hill": "mibvh.builders.rotations",

@@ -1,617 +1,766 @@
-"""`sbvh`: top-down SAH with spatial splits.
+"""`sbvh`: top-down full-sweep SAH with spatial splits.
 
 Stich, Friedrich, Dietrich: *Spatial Splits in Bounding Volume Hierarchies* (HPG 2009).
+A large triangle drags a large box into every node it is in, and boxes overlap. A spatial
+split cuts a node at a plane instead: triangles across it are entered on both sides, each
+time under the box of only the part that is there.
+
+Stages
+------
+1. Sort the references once per axis by box centre, as `bbvh` does.
+2. At each node, find the best object split (:func:`_sweep`): the full sweep of `bbvh`, with
+   its ties, over the *references'* boxes.
+3. Where the children it would make overlap by ``alpha`` of the root's area, look for a
+   spatial split as well (:func:`_sweep_planes`): references are chopped exactly at the planes
+   between the bins of each axis (:func:`_enter_all`), and every plane has the cost
+   ``A_left N_left + A_right N_right``, N by counting where references begin and end.
+4. If a plane is cheaper, cut the references across it (:func:`_spatial_split`). Each of them
+   may yet go whole to one side, if that is the cheapest of the three (*unsplitting*). If one
+   side stays empty, or the cost after all is above that of the object split, the object
+   split is taken.
+5. Part the three sorted lists stably; the cut references, whose centres have moved, are
+   sorted by themselves and merged in (:func:`_part_all`).
+6. Where a leaf would be cheaper than any split (and not too large for one), spatial
+   splits end. Object splits go on down to single references, and the common collapse
+   (:mod:`mibvh.builders.finish`) makes the leaves, in which a triangle stands once.
+
+Memory and threads: a node owns a range of the lists with room for the references that may
+still be added below it, as many ids for them, and a range of the tree's nodes. Both halves
+of a split get their share of that room: by their number of references, or all of it where
+only one of them can use any. So nothing is allocated while building, subtrees are
+independent, and the tree does not depend on the number of threads.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import heapq
-import math
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
+import numpy.typing as npt
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References, centers_twice
 from mibvh.builders.radix import argsort_keys, float_keys
 from mibvh.builders.registry import Context, Options, builder, option
+from mibvh.builders.simd import between, half_area, lane, load, nothing, store, union
 from mibvh.builders.splitting import MAX_CORNERS, clip_to_box, pack_boxes, split_reference
-from mibvh.builders.sweep import _sweep_axis
 from mibvh.triangles import Triangles
 
+#: No spatial splits below this depth: they could go on for ever.
 _SPATIAL_DEPTH = 48
-_GRAIN = 32768
+
+#: Nodes of more references are split one at a time, so that threads can share the rest.
+_TASK = 16384
+
+#: A node of n references has ``_FEWEST_BINS + _BINS_PER_REFERENCE * n`` bins, up to the
+#: number asked for: cutting three triangles at 127 planes finds nothing that 20 do not.
+_FEWEST_BINS = 8
+_BINS_PER_REFERENCE = 4
+
+#: Fewer ids than this are sorted by insertion.
+_FEW = 64
 
 
 class _Work(NamedTuple):
-    corners: Any
-    scale: Any
-    box: Any
-    triangle: Any
-    is_split: Any
-    order0: Any
-    order1: Any
-    order2: Any
-    side: Any
-    buffer: Any
-    right_area: Any
-    left: Any
+    """All arrays of a build. R is the number of references that there is room for."""
+
+    corners: Any  #: (N, 3, 3) float32
+    scale: Any  #: float64, from scene to builder units
+    box: Any  #: (R, 8) float32: each reference's box, as in simd
+    triangle: Any  #: (R,) int32
+    is_split: Any  #: (R,) bool: whether a box is less than its triangle's
+    orders: Any  #: (3, R) int32: references by centre, per axis
+    side: Any  #: (R,) uint8: where each reference goes: 1 left, 0 right, 2 both
+    buffer: Any  #: (R,) int32, scratch
+    across: Any  #: (R,) int32, scratch: references across the plane
+    areas: Any  #: (R,) float32, scratch
+    left: Any  #: (2 R - 1,) int32
     right: Any
     reference: Any
 
 
 class _Rules(NamedTuple):
+    """The options, as numbers."""
+
     bins: Any
-    overlap: Any
-    c_inner: Any
-    c_tri: Any
+    least_overlap: Any  #: area in builder units
+    leaf_cost: Any  #: cost of a triangle, that of an inner node being 1
     max_leaf: Any
-    spatial_depth: Any
-    leafrule: Any
 
 
 class _Bins(NamedTuple):
-    box: Any
-    enter: Any
-    leave: Any
-    area: Any
-    polygon: Any
-    spare: Any
-    halves: Any
+    """Scratch of one thread. B is the number of bins; planes bound them from below."""
+
+    box: Any  #: (3 B, 8) float32: union of what lies inside one bin
+    cut: Any  #: (3 B, 8) float32: union of the sections at each plane
+    begins: Any  #: (3 B,) int32: references that begin in the bin
+    ends: Any  #: (3 B,) int32
+    area: Any  #: (B,) float32: at each plane, half the area of the right side
+    polygon: Any  #: (MAX_CORNERS, 3) float64
+    spare: Any  #: (MAX_CORNERS, 3) float64
+    points: Any  #: (MAX_CORNERS, 8) float32: corners, as boxes
+    halves: Any  #: (2, 8) float32: boxes of the two sides
+
+
+# ------------------------------------------------------------------ object split
 
 
 @njit
-def _area(b):
-    x, y, z = b[4] - b[0], b[5] - b[1], b[6] - b[2]
-    return x * y + (x + y) * z
+def _sweep(order, begin, n, axis, box, areas, best_cost, best_even, best_axis, best_at):
+    """Try every split of one axis; return the best (cost, unevenness, axis, left count) so far.
+
+    A side's ``A N`` only grows with the side, so where one side alone costs more than the
+    best split so far, the splits beyond are out.
+    """
+    side = nothing()
+    out = 0
+    for at in range(n - 1, 0, -1):
+        side = union(side, load(box, order[begin + at]))
+        area = half_area(side)
+        areas[begin + at] = area
+        if area * np.float32(n - at) > best_cost:
+            out = at
+            break
+    side = nothing()
+    for at in range(1, n):
+        side = union(side, load(box, order[begin + at - 1]))
+        if at <= out:
+            continue
+        cost = half_area(side) * np.float32(at)
+        if cost > best_cost:
+            break
+        cost += areas[begin + at] * np.float32(n - at)
+        if cost <= best_cost:
+            even = abs(2 * at - n)
+            if cost < best_cost or even < best_even:
+                best_cost, best_even, best_axis, best_at = cost, even, axis, at
+    return best_cost, best_even, best_axis, best_at
 
 
 @njit
-def _clear(b):
-    for k in range(3):
-        b[k] = np.inf
-        b[k + 4] = -np.inf
+def _box_range(order, begin, end, box):
+    """Box of a range of references."""
+    result = nothing()
+    for i in range(begin, end):
+        result = union(result, load(box, order[i]))
+    return result
 
 
 @njit
-def _grow(b, other):
-    for k in range(3):
-        b[k] = min(b[k], other[k])
-        b[k + 4] = max(b[k + 4], other[k + 4])
+def _overlap(halves):
+    """Half the area of the box in which two boxes overlap; -1 if they are apart."""
+    x = -max(halves[0, 4], halves[1, 4]) - max(halves[0, 0], halves[1, 0])
+    y = -max(halves[0, 5], halves[1, 5]) - max(halves[0, 1], halves[1, 1])
+    z = -max(halves[0, 6], halves[1, 6]) - max(halves[0, 2], halves[1, 2])
+    if x >= 0 and y >= 0 and z >= 0:
+        return x * y + (x + y) * z
+    return np.float32(-1)
+
+
+# ------------------------------------------------------------------ binning
 
 
 @njit
-def _grow_row(b, boxes, r):
-    for k in range(3):
-        b[k] = min(b[k], boxes[r, k])
-        b[k + 4] = max(b[k + 4], boxes[r, k + 4])
+def _enter_section(points, size, axis, first, last, origin, width, base, bin_box, bin_cut):
+    """Enter a polygon that lies in bins ``first`` to ``last`` of an axis, chopped.
 
-
-@njit
-def _grow_bin(bins, axis, e, x, y, z):
-    bins[axis, e, 0] = min(bins[axis, e, 0], np.float32(x))
-    bins[axis, e, 1] = min(bins[axis, e, 1], np.float32(y))
-    bins[axis, e, 2] = min(bins[axis, e, 2], np.float32(z))
-    bins[axis, e, 4] = max(bins[axis, e, 4], np.float32(x))
-    bins[axis, e, 5] = max(bins[axis, e, 5], np.float32(y))
-    bins[axis, e, 6] = max(bins[axis, e, 6], np.float32(z))
-
-
-@njit
-def _chop(polygon, size, axis, first, last, origin, inverse, width, bins):
+    What is on one side of a plane is bounded by the corners there and the points at which
+    edges cross the plane, so corners go to their bins and crossings to their planes.
+    """
+    inverse = np.float32(1) / width
     for i in range(size):
         j = i + 1 if i + 1 < size else 0
-        a = min(max(int((polygon[i, axis] - origin) * inverse), first), last)
-        b = min(max(int((polygon[j, axis] - origin) * inverse), first), last)
-        _grow_bin(bins, axis, a, polygon[i, 0], polygon[i, 1], polygon[i, 2])
+        low, high = i, j
+        if points[i, axis] > points[j, axis]:
+            low, high = j, i
+        x0, x1 = points[low, axis], points[high, axis]
+        a = min(max(int((x0 - origin) * inverse), first), last)
+        b = min(max(int((x1 - origin) * inverse), first), last)
+        own = base + (a if low == i else b)
+        store(bin_box, own, union(load(bin_box, own), load(points, i)))
         if a == b:
             continue
-        dx = polygon[j, 0] - polygon[i, 0]
-        dy = polygon[j, 1] - polygon[i, 1]
-        dz = polygon[j, 2] - polygon[i, 2]
-        length = polygon[j, axis] - polygon[i, axis]
-        for e in range(min(a, b), max(a, b)):
-            t = (origin + (e + 1) * width - polygon[i, axis]) / length
-            t = min(max(t, 0.0), 1.0)
-            x, y, z = polygon[i, 0] + t * dx, polygon[i, 1] + t * dy, polygon[i, 2] + t * dz
-            _grow_bin(bins, axis, e, x, y, z)
-            _grow_bin(bins, axis, e + 1, x, y, z)
+        p, q = load(points, low), load(points, high)
+        per = np.float32(1) / (x1 - x0)
+        for e in range(a + 1, b + 1):
+            share = (origin + np.float32(e) * width - x0) * per
+            share = min(max(share, np.float32(0)), np.float32(1))
+            store(bin_cut, base + e, union(load(bin_cut, base + e), between(p, q, share)))
 
 
 @njit
-def _fill(work, begin, end, node_box, count, inverse, width, bins):
-    """Enter references into the bins of all three axes."""
-    corners, scale, box = work.corners, work.scale, work.box
-    order, triangle, is_split = work.order0, work.triangle, work.is_split
-    bin_box, enter, leave = bins.box, bins.enter, bins.leave
-    polygon, spare = bins.polygon, bins.spare
+def _whole_triangle(corners, t, scale, points):
+    """Write a triangle's corners, in builder units, as boxes."""
+    for i in range(3):
+        for k in range(3):
+            value = np.float32(np.float64(corners[t, i, k]) * scale)
+            points[i, k] = value
+            points[i, k + 4] = -value
+
+
+@njit
+def _clipped_triangle(corners, t, scale, box, r, polygon, spare, points):
+    """Write the corners of a triangle's part inside a box, as boxes; return their number."""
+    size = clip_to_box(corners, t, scale, box, r, polygon, spare)
+    for i in range(size):
+        for k in range(3):
+            value = np.float32(polygon[i, k])
+            points[i, k] = value
+            points[i, k + 4] = -value
+    return size
+
+
+@njit
+def _enter_all(work, begin, n, count, origin, extent, bins):
+    """Enter a node's references into ``count`` bins on each axis."""
+    # Taken out once: a tuple of arrays is dear to hand to a function for each reference.
+    corners, scale, box, triangle = work.corners, work.scale, work.box, work.triangle
+    is_split, order = work.is_split, work.orders[0]
+    bin_box, bin_cut, begins, ends = bins.box, bins.cut, bins.begins, bins.ends
+    polygon, spare, points = bins.polygon, bins.spare, bins.points
+    most = len(bins.area)
     for k in range(3):
-        for e in range(count):
-            for c in range(3):
-                bin_box[k, e, c] = np.inf
-                bin_box[k, e, c + 4] = -np.inf
-            enter[k, e] = 0
-            leave[k, e] = 0
-    for i in range(begin, end):
+        for e in range(k * most, k * most + count):
+            store(bin_box, e, nothing())
+            store(bin_cut, e, nothing())
+            begins[e] = 0
+            ends[e] = 0
+    for i in range(begin, begin + n):
         r = order[i]
         size = 0
         for k in range(3):
-            a = int((np.float64(box[r, k]) - node_box[k]) * inverse[k])
-            b = math.ceil((np.float64(box[r, k + 4]) - node_box[k]) * inverse[k]) - 1
-            a = min(a, count - 1)
-            b = min(max(b, a), count - 1)
-            enter[k, a] += 1
-            leave[k, b] += 1
-            if a == b:
-                for c in range(3):
-                    bin_box[k, a, c] = min(bin_box[k, a, c], box[r, c])
-                    bin_box[k, a, c + 4] = max(bin_box[k, a, c + 4], box[r, c + 4])
+            first, last = 0, 0
+            if extent[k] > 0:
+                inverse = np.float32(count) / extent[k]
+                first = min(max(int((box[r, k] - origin[k]) * inverse), 0), count - 1)
+                end = (-box[r, k + 4] - origin[k]) * inverse
+                last = int(end)
+                if np.float32(last) == end:
+                    last -= 1  # a box that ends at a plane does not reach into the bin behind
+                last = min(max(last, first), count - 1)
+            base = k * most
+            begins[base + first] += 1
+            ends[base + last] += 1
+            if first == last:
+                store(bin_box, base + first, union(load(bin_box, base + first), load(box, r)))
                 continue
             if size == 0:
                 t = triangle[r]
                 if is_split[r]:
-                    size = clip_to_box(corners, t, scale, box, r, polygon, spare)
+                    size = _clipped_triangle(corners, t, scale, box, r, polygon, spare, points)
                 else:
+                    _whole_triangle(corners, t, scale, points)
                     size = 3
-                    for p in range(3):
-                        for c in range(3):
-                            polygon[p, c] = np.float64(corners[t, p, c]) * scale
-            _chop(polygon, size, k, a, b, np.float64(node_box[k]), inverse[k], width[k], bin_box)
+            width = extent[k] / np.float32(count)
+            _enter_section(points, size, k, first, last, origin[k], width, base, bin_box, bin_cut)
 
 
 @njit
-def _best_plane(n, slack, count, axis, best, best_axis, best_at, bins):
-    box, enter, leave, area = bins.box, bins.enter, bins.leave, bins.area
-    inf = np.float32(np.inf)
-    x0, y0, z0, x1, y1, z1 = inf, inf, inf, -inf, -inf, -inf
+def _sweep_planes(n, slack, count, axis, best_cost, best_axis, best_at, bins):
+    """Try every plane of one axis; return the best (cost, axis, plane) so far.
+
+    Planes that would add more references than there is room for are left out.
+    """
+    bin_box, bin_cut, begins, ends = bins.box, bins.cut, bins.begins, bins.ends
+    areas = bins.area
+    base = axis * len(areas)
+    side = nothing()
     for e in range(count - 1, 0, -1):
-        x0, y0, z0 = (
-            min(x0, box[axis, e, 0]),
-            min(y0, box[axis, e, 1]),
-            min(z0, box[axis, e, 2]),
-        )
-        x1, y1, z1 = (
-            max(x1, box[axis, e, 4]),
-            max(y1, box[axis, e, 5]),
-            max(z1, box[axis, e, 6]),
-        )
-        dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
-        area[e] = dx * dy + (dx + dy) * dz
-    x0, y0, z0, x1, y1, z1 = inf, inf, inf, -inf, -inf, -inf
+        side = union(side, load(bin_box, base + e))
+        areas[e] = half_area(union(side, load(bin_cut, base + e)))
+    side = nothing()
     n_left, n_right = 0, n
     for e in range(1, count):
-        x0, y0, z0 = (
-            min(x0, box[axis, e - 1, 0]),
-            min(y0, box[axis, e - 1, 1]),
-            min(z0, box[axis, e - 1, 2]),
-        )
-        x1, y1, z1 = (
-            max(x1, box[axis, e - 1, 4]),
-            max(y1, box[axis, e - 1, 5]),
-            max(z1, box[axis, e - 1, 6]),
-        )
-        n_left += enter[axis, e - 1]
-        n_right -= leave[axis, e - 1]
+        side = union(side, load(bin_box, base + e - 1))
+        n_left += begins[base + e - 1]
+        n_right -= ends[base + e - 1]
         if n_left == 0 or n_right == 0 or n_left + n_right - n > slack:
             continue
-        dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
-        cost = (dx * dy + (dx + dy) * dz) * np.float32(n_left) + area[e] * np.float32(n_right)
-        if cost < best:
-            best, best_axis, best_at = cost, axis, e
-    return best, best_axis, best_at
+        area = half_area(union(side, load(bin_cut, base + e)))
+        cost = area * np.float32(n_left) + areas[e] * np.float32(n_right)
+        if cost < best_cost:
+            best_cost, best_axis, best_at = cost, axis, e
+    return best_cost, best_axis, best_at
+
+
+# ------------------------------------------------------------------ spatial split
 
 
 @njit
-def _partition_to(order, begin, end, side, buffer, target):
-    """Stable partition; the right part goes to ``target``."""
-    a, b = begin, 0
-    for i in range(begin, end):
+def _classify(work, begin, n, axis, plane, halves):
+    """Find out on which side of a plane each reference is, and box the sides.
+
+    Returns the number on the left, on the right, and across.
+    """
+    box, side, order, waiting = work.box, work.side, work.orders[0], work.across
+    left, right = nothing(), nothing()
+    n_left, n_right, across = 0, 0, 0
+    for i in range(begin, begin + n):
         r = order[i]
-        if side[r]:
-            order[a] = r
-            a += 1
+        if -box[r, axis + 4] <= plane:
+            side[r] = 1
+            n_left += 1
+            left = union(left, load(box, r))
+        elif box[r, axis] >= plane:
+            side[r] = 0
+            n_right += 1
+            right = union(right, load(box, r))
         else:
-            buffer[begin + b] = r
-            b += 1
-    for i in range(b):
-        order[target + i] = buffer[begin + i]
+            side[r] = 2
+            waiting[begin + across] = r
+            across += 1
+    store(halves, 0, left)
+    store(halves, 1, right)
+    return n_left, n_right, across
 
 
 @njit
-def _sorted_new(box, ids, axis):
+def _cut_all(work, begin, across, first_id, axis, plane, cut, bins):
+    """Cut the references across the plane.
+
+    Left boxes go to ``cut``, right ones to the boxes from ``first_id`` on. What turns out to
+    be on one side only stays whole.
+
+    Returns
+    -------
+    (left, right, both)
+        How many are on the left only, on the right only, and still across.
+    """
+    box, halves = work.box, bins.halves
+    left, right, both = 0, 0, 0
+    for i in range(across):
+        r = work.across[begin + i]
+        a, b = cut[both], box[first_id + both]
+        found = split_reference(
+            work.corners, work.triangle[r], work.scale, box, r, axis, plane, a, b,
+            bins.polygon, bins.spare,
+        )  # fmt: skip
+        if found == 3:
+            store(halves, 0, union(load(halves, 0), load(cut, both)))
+            store(halves, 1, union(load(halves, 1), load(box, first_id + both)))
+            work.across[begin + both] = r
+            both += 1
+        elif found == 1:
+            work.side[r] = 1
+            store(halves, 0, union(load(halves, 0), load(box, r)))
+            left += 1
+        else:
+            work.side[r] = 0
+            store(halves, 1, union(load(halves, 1), load(box, r)))
+            right += 1
+    return left, right, both
+
+
+@njit
+def _unsplit(work, begin, both, first_id, n_left, n_right, cut, halves):
+    """Give each cut reference whole to one side where that is cheaper.
+
+    Counts and boxes are those with all references cut, less what was unsplit before: the
+    sides of the plane as the paper has them.
+
+    Returns
+    -------
+    (left count, right count, still cut, cost)
+    """
+    box = work.box
+    left, right = load(halves, 0), load(halves, 1)
+    area_left, area_right = half_area(left), half_area(right)
+    kept = 0
+    for i in range(both):
+        r = work.across[begin + i]
+        wide_left, wide_right = union(left, load(box, r)), union(right, load(box, r))
+        less_left, less_right = np.float32(n_left - 1), np.float32(n_right - 1)
+        split = area_left * np.float32(n_left) + area_right * np.float32(n_right)
+        on_left = half_area(wide_left) * np.float32(n_left) + area_right * less_right
+        on_right = area_left * less_left + half_area(wide_right) * np.float32(n_right)
+        if on_left <= split and on_left <= on_right:
+            work.side[r] = 1
+            left, area_left = wide_left, half_area(wide_left)
+            n_right -= 1
+        elif on_right <= split:
+            work.side[r] = 0
+            right, area_right = wide_right, half_area(wide_right)
+            n_left -= 1
+        else:
+            work.across[begin + kept] = r
+            store(cut, kept, load(cut, i))
+            store(box, first_id + kept, load(box, first_id + i))
+            kept += 1
+    store(halves, 0, left)
+    store(halves, 1, right)
+    cost = area_left * np.float32(n_left) + area_right * np.float32(n_right)
+    return n_left, n_right, kept, cost
+
+
+@njit
+def _spatial_split(work, begin, n, slack, first_id, axis, plane, limit, bins):
+    """Split a node at a plane, if that is possible and costs less than ``limit``.
+
+    Returns
+    -------
+    (left count, right count, references added)
+        All 0 if the node was not split; ``work.side`` is undefined then.
+    """
+    box = work.box
+    n_left, n_right, across = _classify(work, begin, n, axis, plane, bins.halves)
+    if across > slack:
+        return 0, 0, 0
+    cut = np.empty((across, 8), np.float32)
+    only_left, only_right, both = _cut_all(work, begin, across, first_id, axis, plane, cut, bins)
+    n_left, n_right, added, cost = _unsplit(
+        work,
+        begin,
+        both,
+        first_id,
+        n_left + only_left + both,
+        n_right + only_right + both,
+        cut,
+        bins.halves,
+    )
+    if n_left == 0 or n_right == 0 or not cost < limit:
+        return 0, 0, 0
+    for i in range(added):
+        r, new = work.across[begin + i], first_id + i
+        store(box, r, load(cut, i))
+        work.triangle[new] = work.triangle[r]
+        work.is_split[r] = True
+        work.is_split[new] = True
+    return n_left, n_right, added
+
+
+@njit
+def _try_spatial(work, rules, begin, n, slack, first_id, limit, bins):
+    """Look for a spatial split cheaper than ``limit``, and carry it out.
+
+    Returns
+    -------
+    (left count, right count, references added)
+        Counts of -1 if a leaf is cheaper than all splits; 0 if the object split is best.
+    """
+    count = min(rules.bins, _FEWEST_BINS + _BINS_PER_REFERENCE * n)
+    whole = union(load(bins.halves, 0), load(bins.halves, 1))
+    origin = (lane(whole, np.int32(0)), lane(whole, np.int32(1)), lane(whole, np.int32(2)))
+    extent = (
+        -lane(whole, np.int32(4)) - origin[0],
+        -lane(whole, np.int32(5)) - origin[1],
+        -lane(whole, np.int32(6)) - origin[2],
+    )
+    _enter_all(work, begin, n, count, origin, extent, bins)
+    best_cost, axis, at = limit, np.int64(-1), np.int64(0)
+    for k in range(3):
+        best_cost, axis, at = _sweep_planes(n, slack, count, k, best_cost, axis, at, bins)
+    area = half_area(whole)
+    if n <= rules.max_leaf and rules.leaf_cost * (n * area - best_cost) <= area:
+        return -1, -1, 0
+    if axis < 0:
+        return 0, 0, 0
+    plane = origin[axis] + np.float32(at) * (extent[axis] / np.float32(count))
+    return _spatial_split(work, begin, n, slack, first_id, axis, plane, limit, bins)
+
+
+# ------------------------------------------------------------------ parting the lists
+
+
+@njit
+def _sort_by_center(ids, box, axis):
+    """Sort reference ids by box centre, stably."""
     n = len(ids)
     keys = np.empty(n, np.float32)
     for i in range(n):
-        keys[i] = box[ids[i], axis] + box[ids[i], axis + 4] + np.float32(0)
-    bits = keys.view(np.uint32)
-    packed = np.empty(n, np.uint64)
-    for i in range(n):
-        b = bits[i]
-        b = ~b if b >> np.uint32(31) else b | np.uint32(0x80000000)
-        packed[i] = (np.uint64(b) << np.uint64(32)) | np.uint64(ids[i])
-    packed.sort()
-    out = np.empty(n, np.int32)
-    for i in range(n):
-        out[i] = np.int32(packed[i] & np.uint64(0xFFFFFFFF))
-    return out
+        keys[i] = box[ids[i], axis] - box[ids[i], axis + 4]
+    if n > _FEW:
+        order = argsort_keys(float_keys(keys), 32)
+        before = ids.copy()
+        for i in range(n):
+            ids[i] = before[order[i]]
+        return
+    for i in range(1, n):
+        r, key, j = ids[i], keys[i], i
+        while j > 0 and keys[j - 1] > key:
+            ids[j], keys[j] = ids[j - 1], keys[j - 1]
+            j -= 1
+        ids[j], keys[j] = r, key
 
 
 @njit
-def _merge(order, first, last, fresh, box, axis, target):
-    """Merge order[first:last] with the fresh ids, from the back, to end where both fit from target."""
-    i, j = last - 1, len(fresh) - 1
-    out = target + (last - first) + len(fresh) - 1
+def _merge(order, first, end, ids, box, axis):
+    """Merge sorted ids into the sorted ``order[first:end]``, from the back."""
+    i, j = end - 1, len(ids) - 1
+    out = i + len(ids)
     while j >= 0:
-        if i >= first and (
-            box[order[i], axis] + box[order[i], axis + 4]
-            > box[fresh[j], axis] + box[fresh[j], axis + 4]
-        ):
+        r = ids[j]
+        key = box[r, axis] - box[r, axis + 4]
+        while i >= first and box[order[i], axis] - box[order[i], axis + 4] > key:
             order[out] = order[i]
             i -= 1
-        else:
-            order[out] = fresh[j]
-            j -= 1
+            out -= 1
+        order[out] = r
+        j -= 1
         out -= 1
 
 
 @njit
-def _spatial_split(work, task, axis, plane, bins, limit):
-    """Try to carry out a spatial split. Returns (n_left, n_right, new references); 0,0,0 if not possible."""
-    box, side, triangle = work.box, work.side, work.triangle
-    begin, n, slack, first_id = task[0], task[1], task[2], task[3]
-    order = work.order0
-    halves = bins.halves
-    left, right = halves[0], halves[1]
-    _clear(left)
-    _clear(right)
-    n_left, n_right, straddling = 0, 0, 0
+def _part(order, begin, n, target, side, buffer):
+    """Move those on the left to ``begin``, on the right to ``target``; return where they end."""
+    a, b = begin, begin
     for i in range(begin, begin + n):
         r = order[i]
-        if box[r, axis + 4] <= plane:
-            side[r] = 1
-            n_left += 1
-            _grow_row(left, box, r)
-        elif box[r, axis] >= plane:
-            side[r] = 0
-            n_right += 1
-            _grow_row(right, box, r)
-        else:
-            side[r] = 2
-            straddling += 1
-    if straddling > slack:
-        return 0, 0, 0
-    ids = np.empty(straddling, np.int32)
-    cut = np.empty((straddling, 2, 8), np.float32)
-    s = 0
-    for i in range(begin, begin + n):
-        r = order[i]
-        if side[r] != 2:
-            continue
-        found = split_reference(
-            work.corners,
-            triangle[r],
-            work.scale,
-            box,
-            r,
-            axis,
-            plane,
-            cut[s, 0],
-            cut[s, 1],
-            bins.polygon,
-            bins.spare,
-        )
-        if found == 3:
-            _grow(left, cut[s, 0])
-            _grow(right, cut[s, 1])
-            n_left += 1
-            n_right += 1
-            ids[s] = r
-            s += 1
-        elif found == 1:
-            side[r] = 1
-            n_left += 1
-            _grow_row(left, box, r)
-        else:
-            side[r] = 0
-            n_right += 1
-            _grow_row(right, box, r)
-    # Unsplitting
-    area_left, area_right = _area(left), _area(right)
-    kept = 0
-    for i in range(s):
-        r = ids[i]
-        both = area_left * np.float32(n_left) + area_right * np.float32(n_right)
-        a = halves[2]
-        a[:] = left
-        _grow_row(a, box, r)
-        only_left = _area(a) * np.float32(n_left) + area_right * np.float32(n_right - 1)
-        b = halves[3]
-        b[:] = right
-        _grow_row(b, box, r)
-        only_right = area_left * np.float32(n_left - 1) + _area(b) * np.float32(n_right)
-        if only_left <= both and only_left <= only_right:
-            side[r] = 1
-            left[:] = a
-            area_left = _area(left)
-            n_right -= 1
-        elif only_right <= both:
-            side[r] = 0
-            right[:] = b
-            area_right = _area(right)
-            n_left -= 1
-        else:
-            ids[kept] = r
-            cut[kept] = cut[i]
-            kept += 1
-    if n_left == 0 or n_right == 0:
-        return 0, 0, 0
-    if not area_left * np.float32(n_left) + area_right * np.float32(n_right) < limit:
-        return 0, 0, 0
-    # Carry out
-    new = np.empty(kept, np.int32)
-    for i in range(kept):
-        r = ids[i]
-        q = first_id + i
-        new[i] = q
-        for k in range(8):
-            box[r, k] = cut[i, 0, k]
-            box[q, k] = cut[i, 1, k]
-        triangle[q] = triangle[r]
-        work.is_split[r] = True
-        work.is_split[q] = True
-    room = slack - kept
-    left_room = room * n_left // (n_left + n_right)
-    target = begin + n_left + left_room
-    for k in range(3):
-        o = work.order0 if k == 0 else (work.order1 if k == 1 else work.order2)
-        # unsplit ones
-        a, b = begin, 0
-        for i in range(begin, begin + n):
-            r = o[i]
-            w = side[r]
-            if w == 1:
-                o[a] = r
-                a += 1
-            elif w == 0:
-                work.buffer[begin + b] = r
-                b += 1
-        _merge(o, begin, a, _sorted_new(box, ids[:kept], k), box, k, begin)
-        for i in range(b):
-            o[target + i] = work.buffer[begin + i]
-        _merge(o, target, target + b, _sorted_new(box, new, k), box, k, target)
-    return n_left, n_right, kept
+        s = side[r]
+        # Written where it may not belong, and then overwritten: cheaper than a jump.
+        order[a] = r
+        buffer[b] = r
+        a += s == 1
+        b += s == 0
+    for i in range(b - begin):
+        order[target + i] = buffer[begin + i]
+    return a, target + b - begin
 
 
 @njit
-def _run(work, rules, task, single, pending):
-    """Split one node (single) or build its whole subtree. Returns number of pending children."""
-    count = rules.bins
+def _part_all(work, begin, n, target, first_id, added):
+    """Part the three lists, and merge the cut references in on both sides."""
+    ids = np.empty(added, np.int32)
+    for k in range(3):
+        order = work.orders[k]
+        left_end, right_end = _part(order, begin, n, target, work.side, work.buffer)
+        if added > 0:
+            for i in range(added):
+                ids[i] = work.across[begin + i]
+            _sort_by_center(ids, work.box, k)
+            _merge(order, begin, left_end, ids, work.box, k)
+            for i in range(added):
+                ids[i] = first_id + i
+            _sort_by_center(ids, work.box, k)
+            _merge(order, target, right_end, ids, work.box, k)
+
+
+# ------------------------------------------------------------------ the build
+
+
+@njit
+def _split_node(work, rules, task, children, tally, bins):
+    """Split one node; write its children, the larger one first, as tasks.
+
+    A task is (begin, number, slack, first new id, node, depth, whether spatial splits are
+    allowed); the slack is the number of references that may be added.
+    """
+    begin, n, slack, first_id, node, depth = task[0], task[1], task[2], task[3], task[4], task[5]
+    box, orders, halves = work.box, work.orders, bins.halves
+    cost, even, axis, at = np.float32(np.inf), n + 1, np.int64(0), np.int64(1)
+    for k in range(3):
+        cost, even, axis, at = _sweep(orders[k], begin, n, k, box, work.areas, cost, even, axis, at)
+    n_left, n_right, added = 0, 0, 0
+    left_may, right_may = False, False
+    if task[6] and slack > 0 and depth < _SPATIAL_DEPTH:
+        store(halves, 0, _box_range(orders[axis], begin, begin + at, box))
+        store(halves, 1, _box_range(orders[axis], begin + at, begin + n, box))
+        left_may = half_area(load(halves, 0)) >= rules.least_overlap
+        right_may = half_area(load(halves, 1)) >= rules.least_overlap
+        if _overlap(halves) >= rules.least_overlap:
+            tally[0] += 1
+            n_left, n_right, added = _try_spatial(
+                work, rules, begin, n, slack, first_id, cost, bins
+            )
+            if n_left > 0:
+                tally[1] += 1
+                left_may = half_area(load(halves, 0)) >= rules.least_overlap
+                right_may = half_area(load(halves, 1)) >= rules.least_overlap
+            elif n_left < 0:
+                left_may, right_may = False, False
+    if n_left <= 0:
+        n_left, n_right = at, n - at
+        side, order = work.side, orders[axis]
+        for i in range(begin, begin + n):
+            side[order[i]] = i < begin + at
+    room = slack - added
+    left_room = room * n_left // (n_left + n_right)
+    if left_may != right_may:
+        left_room = room if left_may else 0
+    target = begin + n_left + left_room
+    _part_all(work, begin, n, target, first_id, added)
+    # A node with room for R references owns 2 R - 1 places in the tree.
+    left, right = node + 1, node + 2 * (n_left + left_room)
+    work.left[node], work.right[node] = left, right
+    a = 0 if n_left + left_room > n_right + room - left_room else 1
+    b = 1 - a
+    children[a, 0], children[b, 0] = begin, target
+    children[a, 1], children[b, 1] = n_left, n_right
+    children[a, 2], children[b, 2] = left_room, room - left_room
+    children[a, 3], children[b, 3] = first_id + added, first_id + added + left_room
+    children[a, 4], children[b, 4] = left, right
+    children[a, 5], children[b, 5] = depth + 1, depth + 1
+    children[a, 6], children[b, 6] = left_may, right_may
+
+
+@njit
+def _run(work, rules, task, once, children, tally):
+    """Build all below a node, or split it only once.
+
+    Parameters
+    ----------
+    work : _Work
+    rules : _Rules
+    task : (7,) int64
+    once : bool
+        Whether to stop after one split; its results are in ``children``, (2, 7) int64.
+    tally : (2,) int64
+        Counts the nodes where a spatial split was looked for, and where one was made.
+    """
+    most = rules.bins
     bins = _Bins(
-        np.empty((3, count, 8), np.float32),
-        np.empty((3, count), np.int32),
-        np.empty((3, count), np.int32),
-        np.empty(count, np.float32),
+        np.empty((3 * most, 8), np.float32),
+        np.empty((3 * most, 8), np.float32),
+        np.empty(3 * most, np.int32),
+        np.empty(3 * most, np.int32),
+        np.empty(most, np.float32),
         np.empty((MAX_CORNERS, 3), np.float64),
         np.empty((MAX_CORNERS, 3), np.float64),
-        np.empty((4, 8), np.float32),
+        np.zeros((MAX_CORNERS, 8), np.float32),
+        np.empty((2, 8), np.float32),
     )
-    halves = bins.halves
-    node_box = np.empty(8, np.float32)
-    inverse = np.empty(3, np.float64)
-    width = np.empty(3, np.float64)
-    order0, order1, order2, box = work.order0, work.order1, work.order2, work.box
-    stack = np.empty((130, 7), np.int64)
-    stack[0] = task
+    # The child with less room goes first, so that few wait.
+    stack = np.empty((128, 7), np.int64)
+    for c in range(7):
+        stack[0, c] = task[c]
     top = 1
     while top > 0:
         top -= 1
-        task = stack[top].copy()
-        begin, n, slack, first_id, node, depth, spatial = (
-            task[0],
-            task[1],
-            task[2],
-            task[3],
-            task[4],
-            task[5],
-            task[6],
-        )
-        end = begin + n
-        if n == 1:
-            work.reference[node] = order0[begin]
+        if stack[top, 1] == 1:
+            work.reference[stack[top, 4]] = work.orders[0, stack[top, 0]]
             continue
-        cost, even, axis, at = np.float32(np.inf), n + 1, 0, 1
-        area = work.right_area[begin:]
-        cost, even, axis, at = _sweep_axis(order0, begin, end, box, area, cost, even, 0, axis, at)
-        cost, even, axis, at = _sweep_axis(order1, begin, end, box, area, cost, even, 1, axis, at)
-        cost, even, axis, at = _sweep_axis(order2, begin, end, box, area, cost, even, 2, axis, at)
-        chosen = order0 if axis == 0 else (order1 if axis == 1 else order2)
-        n_left, n_right, new = 0, 0, 0
-        if spatial and slack > 0 and depth < rules.spatial_depth:
-            left, right = halves[0], halves[1]
-            _clear(left)
-            _clear(right)
-            for i in range(begin, begin + at):
-                _grow_row(left, box, chosen[i])
-            for i in range(begin + at, end):
-                _grow_row(right, box, chosen[i])
-            overlap = np.float32(0)
-            x = min(left[4], right[4]) - max(left[0], right[0])
-            y = min(left[5], right[5]) - max(left[1], right[1])
-            z = min(left[6], right[6]) - max(left[2], right[2])
-            best = cost
-            node_box[:] = left
-            _grow(node_box, right)
-            if x >= 0 and y >= 0 and z >= 0:
-                overlap = x * y + (x + y) * z
-                if overlap >= rules.overlap:
-                    best_axis, best_at = -1, 0
-                    for k in range(3):
-                        length = np.float64(node_box[k + 4]) - node_box[k]
-                        width[k] = length / count
-                        inverse[k] = count / length if length > 0 else 0.0
-                    _fill(work, begin, end, node_box, count, inverse, width, bins)
-                    for k in range(3):
-                        best, best_axis, best_at = _best_plane(
-                            n, slack, count, k, best, best_axis, best_at, bins
-                        )
-                    if rules.leafrule and n <= rules.max_leaf and (
-                        rules.c_tri * n * _area(node_box)
-                        <= rules.c_inner * _area(node_box) + rules.c_tri * best
-                    ):
-                        best_axis = -1
-                        spatial = 0
-                    if best_axis >= 0:
-                        plane = np.float32(node_box[best_axis] + best_at * width[best_axis])
-                        n_left, n_right, new = _spatial_split(
-                            work, task, best_axis, plane, bins, cost
-                        )
-        if n_left == 0:
-            side = work.side
-            for i in range(begin, end):
-                side[chosen[i]] = i < begin + at
-            n_left, n_right = at, n - at
-            left_room = slack * n_left // n
-            target = begin + n_left + left_room
-            _partition_to(order0, begin, end, side, work.buffer, target)
-            _partition_to(order1, begin, end, side, work.buffer, target)
-            _partition_to(order2, begin, end, side, work.buffer, target)
-        else:
-            left_room = (slack - new) * n_left // (n_left + n_right)
-            target = begin + n_left + left_room
-        right_room = slack - new - left_room
-        left_node = node + 1
-        right_node = node + 2 * (n_left + left_room)
-        work.left[node] = left_node
-        work.right[node] = right_node
-        # larger first, so that the smaller one is done first
-        a, b = (0, 1) if n_left + left_room > n_right + right_room else (1, 0)
-        for c in range(2):
-            s = top + (a if c == 0 else b)
-            stack[s, 0] = begin if c == 0 else target
-            stack[s, 1] = n_left if c == 0 else n_right
-            stack[s, 2] = left_room if c == 0 else right_room
-            stack[s, 3] = first_id + new + (0 if c == 0 else left_room)
-            stack[s, 4] = left_node if c == 0 else right_node
-            stack[s, 5] = depth + 1
-            stack[s, 6] = spatial
+        _split_node(work, rules, stack[top], children, tally, bins)
+        if once:
+            return
+        for c in range(7):
+            stack[top, c] = children[0, c]
+            stack[top + 1, c] = children[1, c]
         top += 2
-        if single:
-            pending[:] = stack[:2]
-            return 2
-    return 0
 
 
 @njit
 def _compact(left, right, reference, box, triangle):
-    nodes = len(left)
-    number = np.empty(nodes, np.int32)
-    total, refs = 0, 0
-    for n in range(nodes):
-        number[n] = total
-        if left[n] >= 0 or reference[n] >= 0:
-            total += 1
-        if reference[n] >= 0:
-            refs += 1
-    out_left = np.full(total, -1, np.int32)
-    out_right = np.full(total, -1, np.int32)
-    out_reference = np.full(total, -1, np.int32)
-    lower = np.empty((refs, 3), np.float32)
-    upper = np.empty((refs, 3), np.float32)
-    out_triangle = np.empty(refs, np.int32)
-    r = 0
-    for n in range(nodes):
-        m = number[n]
-        if left[n] >= 0:
-            out_left[m] = number[left[n]]
-            out_right[m] = number[right[n]]
-        elif reference[n] >= 0:
-            q = reference[n]
-            out_reference[m] = r
+    """Close the gaps that unused room left; number references as the leaves come."""
+    number = np.empty(len(left), np.int32)
+    nodes, leaves = 0, 0
+    for i in range(len(left)):
+        number[i] = nodes
+        nodes += left[i] >= 0 or reference[i] >= 0
+        leaves += reference[i] >= 0
+    links = np.full((3, nodes), -1, np.int32)
+    lower, upper = np.empty((leaves, 3), np.float32), np.empty((leaves, 3), np.float32)
+    owner = np.empty(leaves, np.int32)
+    leaf = 0
+    for i in range(len(left)):
+        if left[i] >= 0:
+            links[0, number[i]] = number[left[i]]
+            links[1, number[i]] = number[right[i]]
+        elif reference[i] >= 0:
+            r = reference[i]
+            links[2, number[i]] = leaf
             for k in range(3):
-                lower[r, k] = box[q, k]
-                upper[r, k] = box[q, k + 4]
-            out_triangle[r] = triangle[q]
-            r += 1
-    return out_left, out_right, out_reference, lower, upper, out_triangle
+                lower[leaf, k] = box[r, k]
+                upper[leaf, k] = -box[r, k + 4]
+            owner[leaf] = triangle[r]
+            leaf += 1
+    return links, lower, upper, owner
+
+
+def _build(work: _Work, rules: _Rules, root: npt.NDArray[np.int64], context: Context) -> list[int]:
+    """Run tasks on all threads, the largest first; return the tally."""
+    threads = numba.get_num_threads()
+    waiting = [(-int(root[1]), int(root[4]), root)]
+    running: dict[Future[None], tuple[Any, bool, Any, Any]] = {}
+    total, done = int(root[1] + root[2]), 0
+    tally = np.zeros(2, np.int64)
+    with ThreadPoolExecutor(threads) as pool:
+        while waiting or running:
+            while waiting and len(running) < threads:
+                _, _, task = heapq.heappop(waiting)
+                once = bool(task[1] > _TASK)
+                out, counts = np.empty((2, 7), np.int64), np.zeros(2, np.int64)
+                future = pool.submit(_run, work, rules, task, once, out, counts)
+                running[future] = (task, once, out, counts)
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                task, once, out, counts = running.pop(future)
+                future.result()
+                tally += counts
+                if once:
+                    for child in out:
+                        heapq.heappush(waiting, (-int(child[1]), int(child[4]), child))
+                else:
+                    done += int(task[1] + task[2])
+                    context.progress("split", done / total)
+    return tally.tolist()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SpatialOptions(Options):
     """Options of `sbvh`."""
 
-    alpha: float = option(1e-5, "least overlap", 0.0, 1.0)
-    bins: int = option(128, "planes tried on each axis", 8, 256)
-    budget: float = option(1.0, "references added at most, as a share of the triangles", 0.0, 8.0)
-    leafrule: int = option(1, "x", 0, 1)
+    alpha: float = option(
+        1e-5,
+        "look for a spatial split where children overlap by this share of the root's area; "
+        "more builds faster and splits less",
+        0.0,
+        1.0,
+    )
+    bins: int = option(128, "planes per axis to choose from; fewer build faster", 8, 256)
+    budget: float = option(
+        1.0,
+        "references added at most, per triangle; memory is taken for all of them, and where "
+        "they run out, object splits go on alone",
+        0.0,
+        8.0,
+    )
 
 
 @builder(
     "sbvh",
-    summary="x",
+    summary="full sweep, and planes that cut triangles where children would overlap",
     source="Stich, Friedrich and Dietrich 2009",
     options=SpatialOptions,
 )
 def sbvh(triangles: Triangles, options: SpatialOptions, context: Context) -> Draft:
-    """Build."""
+    """Build the SBVH; O(n log n)."""
     refs = References.of(triangles)
     n = len(refs)
     slack = int(options.budget * n)
     room = n + slack
-    box = pack_boxes(refs, slack)
     centers = centers_twice(refs)
-    orders = []
+    orders = np.empty((3, room), np.int32)
+    context.progress("sort", 0.0)
     for k in range(3):
-        o = np.empty(room, np.int32)
-        o[:n] = argsort_keys(float_keys(centers[:, k]), 32)
-        orders.append(o)
-    x, y, z = (refs.upper.max(0) - refs.lower.min(0)).tolist()
+        orders[k, :n] = argsort_keys(float_keys(centers[:, k]), 32)
+    links = np.full((3, 2 * room - 1), -1, np.int32)
     work = _Work(
         triangles.corners,
         refs.scale,
-        box,
-        np.concatenate([refs.triangle, np.zeros(slack, np.int32)]),
+        pack_boxes(refs, slack),
+        np.concatenate([refs.triangle, np.empty(slack, np.int32)]),
         np.zeros(room, np.bool_),
-        *orders,
-        np.zeros(room, np.uint8),
+        orders,
+        np.empty(room, np.uint8),
         np.empty(room, np.int32),
-        np.empty(room + 1, np.float32),
-        np.full(2 * room - 1, -1, np.int32),
-        np.full(2 * room - 1, -1, np.int32),
-        np.full(2 * room - 1, -1, np.int32),
+        np.empty(room, np.int32),
+        np.empty(room, np.float32),
+        *links,
     )
+    x, y, z = (refs.upper.max(axis=0) - refs.lower.min(axis=0)).tolist()
     rules = _Rules(
         options.bins,
-        options.alpha * (x * y + y * z + z * x),
-        options.c_inner,
-        options.c_tri,
+        np.float32(options.alpha * (x * y + y * z + z * x)),
+        options.c_tri / options.c_inner if options.c_inner > 0 else np.inf,
         options.max_leaf,
-        _SPATIAL_DEPTH,
-        options.leafrule,
     )
-    first = np.array([0, n, slack, n, 0, 0, 1], np.int64)
-    queue = [(-n, 0, first)]
-    running: dict[Future[Any], Any] = {}
-    done = 0
-    threads = numba.get_num_threads()
-    with ThreadPoolExecutor(threads) as pool:
-        while queue or running:
-            while queue and len(running) < threads:
-                _, _, task = heapq.heappop(queue)
-                pending = np.empty((2, 7), np.int64)
-                single = task[1] > _GRAIN
-                running[pool.submit(_run, work, rules, task, single, pending)] = (task, pending)
-            for f in wait(running, return_when=FIRST_COMPLETED).done:
-                task, pending = running.pop(f)
-                if f.result():
-                    for p in pending:
-                        heapq.heappush(queue, (-p[1], p[4], p.copy()))
-                else:
-                    done += task[1]
-                    context.progress("splitting", done / room)
-    left, right, reference, lower, upper, triangle = _compact(
-        work.left, work.right, work.reference, box, work.triangle
+    root = np.array([0, n, slack, n, 0, 0, 1], np.int64)
+    tried, made = _build(work, rules, root, context)
+    joined, lower, upper, owner = _compact(*links, work.box, work.triangle)
+    return Draft(
+        References(lower, upper, owner, refs.scale),
+        *joined,
+        {"references": len(owner), "spatial_tried": tried, "spatial_made": made},
     )
-    return Draft(References(lower, upper, triangle, refs.scale), left, right, reference, {})

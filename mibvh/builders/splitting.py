@@ -6,10 +6,10 @@ Pre-splitting gives each triangle a number of cuts before any tree is built: sec
 Karras and Aila: *Fast Parallel Construction of High-Quality Bounding Volume Hierarchies*
 (HPG 2013).
 
-Compiled code here keeps a box as a row of eight float32: lower corner, unused, upper corner,
-unused. Corners are in scene units and are scaled to builder units in float64, where the
-scale, a power of two, loses nothing. All clipping is done in float64 too, and its results
-are rounded outward to float32.
+Compiled code here keeps boxes as the rows of :mod:`mibvh.builders.simd`: lower corner, a spare
+lane, minus the upper corner, a spare lane. Corners are in scene units and are scaled to
+builder units in float64, where the scale, a power of two, loses nothing. All clipping is done
+in float64 too, and its results are rounded outward to float32.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def clip_to_box(corners, triangle, scale, boxes, row, polygon, spare):
     size = 3
     for k in range(3):
         size = _cut(polygon, size, k, np.float64(boxes[row, k]), 1.0, spare)
-        size = _cut(polygon, size, k, np.float64(boxes[row, k + 4]), -1.0, spare)
+        size = _cut(polygon, size, k, -np.float64(boxes[row, k + 4]), -1.0, spare)
     return size
 
 
@@ -141,7 +141,7 @@ def split_reference(corners, triangle, scale, boxes, row, axis, plane, left, rig
         for k in range(8):
             left[k] = boxes[row, k]
             right[k] = boxes[row, k]
-        left[axis + 4] = plane
+        left[axis + 4] = -plane
         right[axis] = plane
         return 3
     found = 0
@@ -176,15 +176,16 @@ def _box_of_half(polygon, size, axis, cut, half, boxes, row, out):
                     value = polygon[i, k] + a / (a - b) * (polygon[j, k] - polygon[i, k])
                 low, high = min(low, value), max(high, value)
         # Into the old box, which may be tighter by a rounding than the clipped polygon.
-        out[k] = min(max(round_down(low), boxes[row, k]), boxes[row, k + 4])
-        out[k + 4] = max(min(round_up(high), boxes[row, k + 4]), boxes[row, k])
+        least, most = boxes[row, k], -boxes[row, k + 4]
+        out[k] = min(max(round_down(low), least), most)
+        out[k + 4] = -max(min(round_up(high), most), least)
 
 
 def pack_boxes(references: References, room: int = 0) -> F32:
     """(R + room, 8) float32: the rows that the compiled code of this file works on."""
     boxes = np.zeros((len(references) + room, 8), np.float32)
     boxes[: len(references), 0:3] = references.lower
-    boxes[: len(references), 4:7] = references.upper
+    boxes[: len(references), 4:7] = -references.upper
     return boxes
 
 
@@ -210,11 +211,11 @@ def _dominant_plane(boxes, row, origin, extent):
     best, best_axis, best_plane, best_length = 0, 0, np.float32(0), np.float32(0)
     cells = float(1 << _LEVELS)
     for k in range(3):
-        length = boxes[row, k + 4] - boxes[row, k]
+        length = -boxes[row, k + 4] - boxes[row, k]
         if not (extent[k] > 0.0 and length > 0.0):
             continue
         a = math.floor((np.float64(boxes[row, k]) - origin[k]) / extent[k] * cells)
-        b = math.ceil((np.float64(boxes[row, k + 4]) - origin[k]) / extent[k] * cells) - 1
+        b = math.ceil((-np.float64(boxes[row, k + 4]) - origin[k]) / extent[k] * cells) - 1
         a, b = max(a, 0), min(b, (1 << _LEVELS) - 1)
         level, plane = 0, np.float32(0)
         while a < b:
@@ -226,7 +227,7 @@ def _dominant_plane(boxes, row, origin, extent):
             # A face of the box on a plane can be numbered on its wrong side by a rounding.
             if plane <= boxes[row, k]:
                 a = number
-            elif plane >= boxes[row, k + 4]:
+            elif plane >= -boxes[row, k + 4]:
                 b = number - 1
             else:
                 level = bit - _LEVELS
@@ -252,9 +253,9 @@ def _priorities(corners, scale, boxes, origin, extent):
         level, _, _ = _dominant_plane(boxes, t, origin, extent)
         if level == 0:
             continue
-        x = np.float64(boxes[t, 4]) - boxes[t, 0]
-        y = np.float64(boxes[t, 5]) - boxes[t, 1]
-        z = np.float64(boxes[t, 6]) - boxes[t, 2]
+        x = -np.float64(boxes[t, 4]) - boxes[t, 0]
+        y = -np.float64(boxes[t, 5]) - boxes[t, 1]
+        z = -np.float64(boxes[t, 6]) - boxes[t, 2]
         a0 = (np.float64(corners[t, 1, 0]) - corners[t, 0, 0]) * scale
         a1 = (np.float64(corners[t, 1, 1]) - corners[t, 0, 1]) * scale
         a2 = (np.float64(corners[t, 1, 2]) - corners[t, 0, 2]) * scale
@@ -354,7 +355,7 @@ def _split_all(corners, scale, boxes, triangle, priorities, factor, origin, exte
 @njit
 def _longest(box):
     """Longest extent of a box, as float64."""
-    return np.float64(max(box[4] - box[0], max(box[5] - box[1], box[6] - box[2])))
+    return -np.float64(min(box[4] + box[0], min(box[5] + box[1], box[6] + box[2])))
 
 
 def presplit(triangles: Triangles, beta: float = 0.3) -> References:
@@ -392,5 +393,5 @@ def presplit(triangles: Triangles, beta: float = 0.3) -> References:
     triangle = np.concatenate([whole.triangle, np.zeros(room, np.int32)])
     used = _split_all(*scene, boxes, triangle, priorities, factor, origin, extent)
     return References(
-        boxes[:used, 0:3].copy(), boxes[:used, 4:7].copy(), triangle[:used].copy(), whole.scale
+        boxes[:used, 0:3].copy(), -boxes[:used, 4:7], triangle[:used].copy(), whole.scale
     )
