@@ -26,6 +26,7 @@ The stages, repeated in sweeps until one cluster is left:
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
@@ -45,7 +46,7 @@ _NOBODY = np.iinfo(np.int64).max
 _CHUNK = 2048
 
 
-def _offsets(clusters):
+def _offsets(clusters: int) -> npt.NDArray[np.int64]:
     """First block of each level of the index, and the number of all blocks at the end."""
     offsets = [0]
     while True:
