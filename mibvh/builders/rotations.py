@@ -17,10 +17,11 @@ collapse shows at the end, where the start tree is kept if it is the better one 
 a sweep changes nothing: no single rotation can lower SAH then.
 
 `anneal` proposes one random rotation at each node in every sweep and takes it with
-probability ``exp(-change / T)``. The paper's schedule is not known to us; ours is: ``T``
-falls geometrically over ``sweeps`` sweeps, from ``hot`` to ``cold`` times the mean area of
-an inner node of the start tree. The best tree seen at the end of a sweep is kept, and hill
-climbing ends it.
+probability ``exp(-change / T)``. The paper's schedule is not known to us; ours is: climb
+first; then ``T`` falls geometrically over ``sweeps`` sweeps, from ``hot`` to ``cold`` times
+the mean area of an inner node; the best tree seen at the end of a sweep is kept, the climbed
+one included, and hill climbing ends it. Climbing first makes the outcome no worse than
+`hill`'s, and on every scene tried it was better than annealing the start tree itself.
 
 Where the search starts is not told for the HPG 2013 comparison either. Kensler starts from
 standard builders, so both start from `bbvh` unless told otherwise.
@@ -333,11 +334,11 @@ class AnnealOptions(Options):
 
     start: str = option("bbvh", "builder of the tree to start from")
     seed: int = option(0, "random numbers; another seed gives another tree", 0, 2**63 - 1)
-    sweeps: int = option(400, "sweeps of annealing; more find better trees", 0, 1_000_000)
+    sweeps: int = option(600, "sweeps of annealing; more find better trees", 0, 1_000_000)
     hot: float = option(
-        0.1, "first temperature, in mean inner areas; hotter forgets more of the start", 0.0, 1e6
+        0.1, "first temperature, in mean inner areas; hotter forgets more of the start", 1e-12, 1e6
     )
-    cold: float = option(1e-4, "last temperature, in mean inner areas", 0.0, 1e6)
+    cold: float = option(1e-5, "last temperature, in mean inner areas", 1e-12, 1e6)
 
 
 @builder(
@@ -347,9 +348,10 @@ class AnnealOptions(Options):
     options=AnnealOptions,
 )
 def anneal(triangles: Triangles, options: AnnealOptions, context: Context) -> Draft:
-    """Rotate at random while the temperature falls, then climb from the best tree seen."""
+    """Rotate at random while the temperature falls, and climb before and after."""
     start = context.start(triangles, options.start, options)
     left, right, reference, _, box = depth_first(start)
+    hill_sweeps, hill_rotations = climb(left, right, box, HillOptions.sweeps, context)
     area = inner_area(left, box)
     mean = area / max(len(left) // 2, 1)
     # Quantiles of the exponential distribution; float32, so that the last bit of
@@ -385,10 +387,10 @@ def anneal(triangles: Triangles, options: AnnealOptions, context: Context) -> Dr
     scale = options.c_inner * mean / box_area(box, 0) if area > 0 else 0.0
     report = {
         "start": options.start,
-        "iterations": options.sweeps + sweeps,
-        "rotations": accepted + rotations,
+        "iterations": hill_sweeps + options.sweeps + sweeps,
+        "rotations": hill_rotations + accepted + rotations,
+        "accepted": accepted,
+        # In units of SAH: a change of so much was taken with probability 1 / e.
         "temperatures": [scale * options.hot, scale * options.cold],
-        "hill_sweeps": sweeps,
-        "hill_rotations": rotations,
     }
     return _judge(start, end, options, report)
