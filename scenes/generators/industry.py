@@ -250,6 +250,7 @@ def build_engine(detail: float, rng: np.random.Generator) -> Parts:
         ),
     )
     # Gear train at the end x = 2.9, shafts and belt.
+    coarse = min(1.0, 1.5 * s)  # a small version has gears of fewer teeth
     fine = cells(2, s**0.6)
     turned = np.array([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]])
     for yy, zz, teeth, r in (
@@ -259,11 +260,17 @@ def build_engine(detail: float, rng: np.random.Generator) -> Parts:
         (3.5, 1.85, 28, 0.38),
         (4.35, 0.62, 26, 0.36),
     ):
-        p.add("gears", transform(_gear(teeth, r, 0.14, fine), turned, [2.75, yy, zz]))
+        p.add(
+            "gears",
+            transform(_gear(max(8, round(teeth * coarse)), r, 0.14, fine), turned, [2.75, yy, zz]),
+        )
         shaft = np.array([[2.5, yy, zz], [3.05, yy, zz]])
         p.add("bolts", tubes(shaft, 0.06, sides))
     # Flywheel at the other end.
-    p.add("gears", transform(_gear(80, 0.72, 0.2, fine), turned, [7.35, 3.5, 1.05]))
+    p.add(
+        "gears",
+        transform(_gear(max(8, round(80 * coarse)), 0.72, 0.2, fine), turned, [7.35, 3.5, 1.05]),
+    )
     p.add(
         "block", transform(grid_box([0, 0, 0], [1.3, 1.4, 1.2], cells(6, s)), None, [7.6, 2.8, 0.0])
     )
