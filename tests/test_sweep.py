@@ -9,9 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mibvh._jit import njit
 from mibvh.builders import get
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.registry import Context
+from mibvh.builders.simd import (
+    half_area,
+    half_area_exact,
+    load,
+    load_corners,
+    nothing,
+    store,
+    store_corners,
+    union,
+)
 from mibvh.builders.sweep import _shares
 from mibvh.triangles import Triangles
 
@@ -100,6 +111,30 @@ def test_split_by_hand():
     at = np.array([[0, 0, 0], [0, 9, 0], [1, 0, 0], [1, 9, 0]], np.float32)
     corners = at[:, None] + np.array([[0, 0, 0], [0.5, 0, 0], [0, 0.5, 0.5]], np.float32)
     assert nested(build(corners)) == ((0, 2), (1, 3))
+
+
+@njit
+def _joined(lower, upper, rows, out_lower, out_upper):
+    """Area of the union of two boxes, which is written out on the way, doubled in size."""
+    store(rows, 0, load_corners(lower, upper, 0))
+    box = union(union(nothing(), load(rows, 0)), load_corners(lower, upper, 1))
+    store_corners(out_lower, out_upper, 0, box, np.float32(2))
+    return half_area(box), half_area_exact(box)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_boxes_in_registers(seed):
+    rng = np.random.default_rng(seed)
+    lower = rng.standard_normal((2, 3)).astype(np.float32)
+    upper = lower + rng.random((2, 3)).astype(np.float32)
+    out_lower, out_upper = np.zeros((2, 1, 3), np.float32)
+    result = _joined(lower, upper, np.zeros((1, 8), np.float32), out_lower, out_upper)
+    assert np.array_equal(out_lower[0], 2 * lower.min(axis=0))
+    assert np.array_equal(out_upper[0], 2 * upper.max(axis=0))
+    assert result[0] == area(lower, upper)
+    assert result[1] == pytest.approx(
+        float(area(lower.astype(np.float64), upper.astype(np.float64))), rel=1e-6
+    )
 
 
 def test_progress_reaches_every_batch():

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mibvh._jit import njit
-from mibvh.triangles import F32, F64, I32, Triangles
+from mibvh.triangles import F32, I32, Triangles
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -156,9 +156,3 @@ def centers_twice(references: References) -> F32:
     21% in SAH.
     """
     return references.lower + references.upper
-
-
-def reference_areas(references: References) -> F64:
-    """(R,) float64: half the surface area of each box, in builder units."""
-    x, y, z = (references.upper.astype(np.float64) - references.lower).T
-    return x * y + y * z + z * x

@@ -74,7 +74,9 @@ def sort_keys(keys, bits):
     """
     n = len(keys)
     source, target = keys.copy(), np.empty_like(keys)
-    order, other = np.arange(n).astype(np.int32), np.empty(n, np.int32)
+    order, other = np.empty(n, np.int32), np.empty(n, np.int32)
+    for i in range(n):
+        order[i] = i
     counts = np.empty(1 << _DIGIT, np.uint32)
     low = max(0, (bits - 1) // _DIGIT * _DIGIT - 2 * _DIGIT)
     if _sort_digits(source, order, target, other, low, bits, counts):

@@ -185,13 +185,3 @@ def half_area_exact(typing: Any, box: Any) -> Any:
         return build.fadd(build.fadd(build.fmul(x, y), build.fmul(y, z)), build.fmul(z, x))
 
     return types.float64(box), generate
-
-
-@intrinsic
-def lane(typing: Any, box: Any, index: Any) -> Any:
-    """One lane of a box, by constant or computed index."""
-
-    def generate(context, build, signature, values):
-        return build.extract_element(values[0], values[1])
-
-    return types.float32(box, types.int32), generate
