@@ -295,9 +295,11 @@ def climb(left: I32, right: I32, box: F32, most: int, context: Context) -> tuple
     return sweeps, rotations
 
 
-def _judge(start: Draft, end: Draft, options: Options, report: dict[str, Any]) -> Draft:
+def judged(start: Draft, end: Draft, options: Options, report: dict[str, Any]) -> Draft:
     """Return the better one of two drafts after the collapse, with a report on both."""
-    costs = {"c_inner": options.c_inner, "c_tri": options.c_tri, "max_leaf": options.max_leaf}
+    costs: dict[str, Any] = {
+        name: getattr(options, name) for name in ("c_inner", "c_tri", "max_leaf")
+    }
     start_sah, end_sah = draft_sah(start, **costs), draft_sah(end, **costs)
     better = end if end_sah <= start_sah else start
     report = {"start_sah": start_sah, "end_sah": min(start_sah, end_sah), **report}
@@ -325,7 +327,7 @@ def hill(triangles: Triangles, options: HillOptions, context: Context) -> Draft:
     sweeps, rotations = climb(left, right, box, options.sweeps, context)
     end = Draft(start.references, left, right, reference)
     report = {"start": options.start, "iterations": sweeps, "rotations": rotations}
-    return _judge(start, end, options, report)
+    return judged(start, end, options, report)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -393,4 +395,4 @@ def anneal(triangles: Triangles, options: AnnealOptions, context: Context) -> Dr
         # In units of SAH: a change of so much was taken with probability 1 / e.
         "temperatures": [scale * options.hot, scale * options.cold],
     }
-    return _judge(start, end, options, report)
+    return judged(start, end, options, report)

@@ -34,10 +34,9 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft
-from mibvh.builders.finish import draft_sah
 from mibvh.builders.morton import radix_draft
 from mibvh.builders.registry import Context, Options, builder, option
-from mibvh.builders.rotations import box_area, depth_first
+from mibvh.builders.rotations import box_area, depth_first, judged
 from mibvh.builders.splitting import presplit
 from mibvh.triangles import Triangles
 
@@ -310,13 +309,13 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
         With ``start_sah``, ``end_sah``, ``iterations`` (rounds), and the treelets looked at
         and rebuilt in its report.
     """
-    costs = {"c_inner": options.c_inner, "c_tri": options.c_tri, "max_leaf": options.max_leaf}
+    costs = (options.c_inner, options.c_tri, options.max_leaf)
     left, right, reference, count, box = depth_first(draft)
-    cost = subtree_costs(left, right, box, count, *costs.values())
+    cost = subtree_costs(left, right, box, count, *costs)
     # A scene of fewer triangles is a smaller treelet.
     size = min(options.size, len(draft.references))
     rounds = options.rounds if size > 2 else 0
-    arrays = (size, left, right, box, count, cost, *costs.values())
+    arrays = (size, left, right, box, count, cost, *costs)
     # Subtrees of at most `limit` references are the units of parallel work; the few nodes
     # above them follow. The limit depends on the scene alone, as the outcome must.
     limit = max(256, len(draft.references) // 256)
@@ -339,17 +338,9 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
             begin = ends[-1] if len(ends) else begin
         looked += len(top)
     result = Draft(draft.references, left, right, reference)
-    start_sah, end_sah = draft_sah(draft, **costs), draft_sah(result, **costs)
-    if end_sah > start_sah:  # possible where a leaf holds a split triangle twice
-        result, end_sah = draft, start_sah
-    report = {
-        "start_sah": start_sah,
-        "end_sah": end_sah,
-        "iterations": rounds,
-        "treelets": looked,
-        "rebuilt": rebuilt,
-    }
-    return dataclasses.replace(result, report=report)
+    # Where a leaf holds a split triangle twice, the programme's cost is an upper bound only.
+    report = {"iterations": rounds, "treelets": looked, "rebuilt": rebuilt}
+    return judged(draft, result, options, report)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
