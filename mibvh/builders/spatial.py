@@ -46,7 +46,7 @@ from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References, centers_twice
 from mibvh.builders.radix import argsort_keys, float_keys
 from mibvh.builders.registry import Context, Options, builder, option
-from mibvh.builders.simd import between, half_area, lane, load, nothing, store, union
+from mibvh.builders.simd import between, half_area, load, nothing, store, union
 from mibvh.builders.splitting import MAX_CORNERS, clip_to_box, pack_boxes, split_reference
 from mibvh.triangles import Triangles
 
@@ -103,7 +103,7 @@ class _Bins(NamedTuple):
     polygon: Any  #: (MAX_CORNERS, 3) float64
     spare: Any  #: (MAX_CORNERS, 3) float64
     points: Any  #: (MAX_CORNERS, 8) float32: corners, as boxes
-    halves: Any  #: (2, 8) float32: boxes of the two sides
+    halves: Any  #: (3, 8) float32: boxes of the two sides, and of both
 
 
 # ------------------------------------------------------------------ object split
@@ -443,12 +443,10 @@ def _try_spatial(work, rules, begin, n, slack, first_id, limit, bins):
     """
     count = min(rules.bins, _FEWEST_BINS + _BINS_PER_REFERENCE * n)
     whole = union(load(bins.halves, 0), load(bins.halves, 1))
-    origin = (lane(whole, np.int32(0)), lane(whole, np.int32(1)), lane(whole, np.int32(2)))
-    extent = (
-        -lane(whole, np.int32(4)) - origin[0],
-        -lane(whole, np.int32(5)) - origin[1],
-        -lane(whole, np.int32(6)) - origin[2],
-    )
+    store(bins.halves, 2, whole)
+    row = bins.halves[2]
+    origin = (row[0], row[1], row[2])
+    extent = (-row[4] - row[0], -row[5] - row[1], -row[6] - row[2])
     _enter_all(work, begin, n, count, origin, extent, bins)
     best_cost, axis, at = limit, np.int64(-1), np.int64(0)
     for k in range(3):
@@ -620,7 +618,7 @@ def _run(work, rules, task, once, children, tally):
         np.empty((MAX_CORNERS, 3), np.float64),
         np.empty((MAX_CORNERS, 3), np.float64),
         np.zeros((MAX_CORNERS, 8), np.float32),
-        np.empty((2, 8), np.float32),
+        np.empty((3, 8), np.float32),
     )
     # The child with less room goes first, so that few wait.
     stack = np.empty((128, 7), np.int64)
