@@ -14,7 +14,8 @@ from mibvh.version import __version__
 if TYPE_CHECKING:
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
     from mibvh.errors import MibvhError
-    from mibvh.metrics.epo import epo, epo_per_node
+    from mibvh.metrics.epo import epo, epo_per_depth, epo_per_node
+    from mibvh.metrics.points import Estimate, RayEnds, ray_ends
     from mibvh.metrics.sah import sah, sah_per_node
     from mibvh.rays import RaySet, diffuse_rays
     from mibvh.scene import Scene, load
@@ -26,9 +27,11 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "Context": "mibvh.builders",
     "Draft": "mibvh.builders",
+    "Estimate": "mibvh.metrics.points",
     "Hits": "mibvh.traversal.trace",
     "MibvhError": "mibvh.errors",
     "Options": "mibvh.builders",
+    "RayEnds": "mibvh.metrics.points",
     "RaySet": "mibvh.rays",
     "References": "mibvh.builders",
     "Scene": "mibvh.scene",
@@ -40,9 +43,11 @@ _PUBLIC = {
     "builder": "mibvh.builders",
     "diffuse_rays": "mibvh.rays",
     "epo": "mibvh.metrics.epo",
+    "epo_per_depth": "mibvh.metrics.epo",
     "epo_per_node": "mibvh.metrics.epo",
     "load": "mibvh.scene",
     "option": "mibvh.builders",
+    "ray_ends": "mibvh.metrics.points",
     "rotation_about": "mibvh.triangles",
     "sah": "mibvh.metrics.sah",
     "sah_per_node": "mibvh.metrics.sah",
@@ -53,9 +58,11 @@ _PUBLIC = {
 __all__ = [
     "Context",
     "Draft",
+    "Estimate",
     "Hits",
     "MibvhError",
     "Options",
+    "RayEnds",
     "RaySet",
     "References",
     "Scene",
@@ -68,9 +75,11 @@ __all__ = [
     "builder",
     "diffuse_rays",
     "epo",
+    "epo_per_depth",
     "epo_per_node",
     "load",
     "option",
+    "ray_ends",
     "rotation_about",
     "sah",
     "sah_per_node",

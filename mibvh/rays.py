@@ -20,7 +20,7 @@ from mibvh.triangles import F32, F64, I32
 from mibvh.variant import mitsuba
 
 FORMAT_VERSION = 1
-_ARRAYS = ("o", "d", "tmax", "viewpoint", "bounce")
+_ARRAYS = ("o", "d", "tmax", "viewpoint", "bounce", "source")
 #: How far origins are backed off along the incoming ray, relative to the scene's diagonal.
 BACK_OFF = 1e-5
 
@@ -40,6 +40,8 @@ class RaySet:
     bounce : (R,) int32
         1 for the rays that leave what the camera sees, 2 for those that leave what they hit,
         and so on.
+    source : (R,) int32
+        The triangle that the ray leaves; -1 where that is not known.
     meta : dict
         JSON-able: scene, digest of the triangles, seed, film size, samples, order, and the
         numbers of primary rays and hits.
@@ -50,6 +52,7 @@ class RaySet:
     tmax: F32
     viewpoint: I32
     bounce: I32
+    source: I32
     meta: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -167,17 +170,17 @@ def diffuse_rays(
     mi = mitsuba()
     # Zero-copy views of NumPy memory would keep gathers from being vectorised.
     corners = mi.Float(scene.triangles.corners.ravel())
-    parts: list[tuple[F32, F32, int, int]] = []
+    parts: list[tuple[F32, F32, I32, int, int]] = []
     primary = hits = 0
     for view, sensor in enumerate(sensors):
         rng = mi.PCG32(size=width * height * samples, initstate=seed, initseq=view)
         ray = _primary_rays(mi, sensor, width, height, samples, rng)
         primary += width * height * samples
         for bounce in range(1, bounces + 1):
-            ray, rng = _bounce(mi, scene, corners, ray, rng)
+            ray, rng, source = _bounce(mi, scene, corners, ray, rng)
             o, d = (np.array(v, dtype=np.float32).T for v in (ray.o, ray.d))
             hits += len(o) if bounce == 1 else 0
-            parts.append((o, d, view, bounce))
+            parts.append((o, d, np.array(source).astype(np.int32), view, bounce))
             if len(o) == 0:
                 break
         if progress:
@@ -193,8 +196,9 @@ def diffuse_rays(
         np.ascontiguousarray(np.concatenate([p[0] for p in parts])),
         np.ascontiguousarray(np.concatenate([p[1] for p in parts])),
         np.full(sum(len(p[0]) for p in parts), np.inf, np.float32),
-        np.concatenate([np.full(len(p[0]), p[2], np.int32) for p in parts]),
         np.concatenate([np.full(len(p[0]), p[3], np.int32) for p in parts]),
+        np.concatenate([np.full(len(p[0]), p[4], np.int32) for p in parts]),
+        np.concatenate([p[2] for p in parts]),
         meta,
     )
     return rays.select(_morton_order(rays, scene)) if sort else rays
@@ -213,8 +217,8 @@ def _primary_rays(mi: Any, sensor: Any, width: int, height: int, samples: int, r
     return mi.Ray3f(ray)
 
 
-def _bounce(mi: Any, scene: Scene, corners: Any, ray: Any, rng: Any) -> tuple[Any, Any]:
-    """The diffuse rays that leave where rays hit, and the paths' random numbers."""
+def _bounce(mi: Any, scene: Scene, corners: Any, ray: Any, rng: Any) -> tuple[Any, Any, Any]:
+    """The diffuse rays that leave where rays hit, the paths' random numbers, and the triangles."""
     import drjit as dr
 
     hit = scene.geometry.ray_intersect_preliminary(ray, coherent=False)
@@ -238,8 +242,9 @@ def _bounce(mi: Any, scene: Scene, corners: Any, ray: Any, rng: Any) -> tuple[An
         dr.gather(mi.Point3f, origin, sound), dr.gather(mi.Vector3f, mi.Vector3f(out), sound)
     )
     rng = dr.gather(mi.PCG32, rng, sound)
-    dr.eval(ray, rng)
-    return ray, rng
+    source = dr.gather(mi.UInt32, triangle, sound)
+    dr.eval(ray, rng, source)
+    return ray, rng, source
 
 
 def _morton_order(rays: RaySet, scene: Scene) -> np.ndarray:

@@ -17,7 +17,7 @@ def ray_set(o, d, tmax=np.inf):
     o, d = np.asarray(o, np.float32), np.asarray(d, np.float32)
     zeros = np.zeros(len(o), np.int32)
     limit = np.broadcast_to(np.float32(tmax), len(o)).copy()
-    return mibvh.RaySet(o, d, limit, zeros, zeros)
+    return mibvh.RaySet(o, d, limit, zeros, zeros, zeros - 1)
 
 
 def brute_force(triangles, rays):

@@ -15,6 +15,7 @@ to the last bit for any number of threads.
 from __future__ import annotations
 
 import dataclasses
+import typing
 from collections.abc import Callable
 from typing import Any
 
@@ -22,6 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh._jit import njit
+from mibvh.errors import MibvhError
+from mibvh.metrics.points import Estimate, RayEnds, epo_at_ends, estimate_epo, triangle_positions
 from mibvh.metrics.sah import node_costs
 from mibvh.parallel import run_blocks, thread_count
 from mibvh.tree import Tree
@@ -110,9 +113,14 @@ def _own(positions, start, end, first, count):
 
 @njit
 def _walk(
-    begin, end, order, corners, weights, starts, positions, box, left, first, count, depth, unit, sums
-):
-    """Add the foreign areas of triangles ``order[begin:end]`` to ``sums`` (M,) int64."""
+    begin, end, order, corners, weights, starts, positions, leaf_of, box, left, first, count, depth,
+    unit, sums,
+):  # fmt: skip
+    """Add the foreign areas of items ``order[begin:end]`` to ``sums`` (M,) int64.
+
+    An item is a triangle, or, where ``leaf_of`` is not empty, a reference's part of it: what lies
+    in the box of the leaf that the reference is in.
+    """
     # Level k of the walk keeps the polygon inside the node at depth k, its corner count, box
     # and area. Where that is all of the parent's polygon, the level names the level that
     # holds it instead. Siblings share a level: a node is clipped when popped, after its
@@ -128,18 +136,27 @@ def _walk(
     pairs = visits = clips = 0
     for index in range(begin, end):
         t = order[index]
+        item = index if len(leaf_of) > 0 else t
         for i in range(3):
             for k in range(3):
                 polygons[0, i, k] = corners[t, i, k]
-        areas[0] = _area(polygons[0], 3)
+        n = 3
+        if len(leaf_of) > 0:
+            for plane in range(6):
+                limit = np.float64(box[leaf_of[index], plane])
+                n = _cut(polygons[0], n, spare[0], plane % 3, limit, plane < 3)
+                polygons[0, :n] = spare[0, :n]
+                if n < 3:
+                    break
+        areas[0] = _area(polygons[0], n) if n >= 3 else 0.0
         if areas[0] == 0.0 or weights[t] == 0.0:
             continue
         weight = weights[t] * unit
-        corner_count[0] = 3
+        corner_count[0] = n
         for k in range(3):
-            limits[0, k] = min(polygons[0, 0, k], polygons[0, 1, k], polygons[0, 2, k])
-            limits[0, k + 3] = max(polygons[0, 0, k], polygons[0, 1, k], polygons[0, 2, k])
-        start, stop = starts[t], starts[t + 1]
+            limits[0, k] = polygons[0, :n, k].min()
+            limits[0, k + 3] = polygons[0, :n, k].max()
+        start, stop = starts[item], starts[item + 1]
         stack[0], stack_level[0], top = 0, 0, 1
         while top > 0:
             top -= 1
@@ -206,17 +223,19 @@ def _walk(
     return pairs, visits, clips
 
 
-def _positions(tree: Tree, triangles: int) -> tuple[Any, Any, Any]:
-    """Where each triangle's references stand in leaf order, as (starts, positions), and the
-    triangles in the order they first come, so that neighbours are walked together."""
-    references = tree.references
-    starts = np.zeros(triangles + 1, np.int64)
-    np.cumsum(np.bincount(references, minlength=triangles), out=starts[1:])
-    positions = np.argsort(references, kind="stable").astype(np.int32)
-    first = positions[np.minimum(starts[:-1], len(positions) - 1)]
+def _items(tree: Tree, triangles: int, fragments: bool) -> tuple[Any, ...]:
+    """What is walked, in leaf order so that neighbours come together: the triangle of each item,
+    where its references stand (starts, positions), and the leaf it is cut to, if any."""
+    if fragments:
+        leaves = np.flatnonzero(tree.is_leaf)
+        leaves = leaves[np.argsort(tree.first[leaves], kind="stable")]
+        leaf_of = np.repeat(leaves, tree.count[leaves]).astype(np.int32)
+        every = np.arange(len(tree.references) + 1)
+        return tree.references, every, every[:-1].astype(np.int32), leaf_of
+    starts, positions = triangle_positions(tree, triangles)
     present = np.flatnonzero(starts[1:] > starts[:-1])
-    order = present[np.argsort(first[present], kind="stable")].astype(np.int32)
-    return starts, positions, order
+    order = present[np.argsort(positions[starts[present]], kind="stable")].astype(np.int32)
+    return order, starts, positions, np.empty(0, np.int32)
 
 
 def overlap(
@@ -224,6 +243,7 @@ def overlap(
     triangles: Any,
     *,
     weights: npt.ArrayLike | None = None,
+    fragments: bool = False,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> OverlapResult:
@@ -236,6 +256,10 @@ def overlap(
     weights : (N,) array, optional
         Density of ray ends on each triangle, up to a factor; by default the same on all, as
         in the paper.
+    fragments : bool
+        For trees with split triangles, the other reading of "not in the subtree": a reference
+        owns only the part of its triangle that lies in its leaf's box, and what other parts of
+        the same triangle have in a node counts as foreign to it.
     threads : int, optional
         The result is the same to the last bit for any number.
     progress : callable, optional
@@ -248,10 +272,12 @@ def overlap(
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
     density = np.ones(len(triangles)) if weights is None else np.asarray(weights, np.float64)
+    if density.shape != (len(triangles),) or not (density >= 0).all():
+        raise MibvhError(f"weights need {len(triangles)} numbers that are not negative")
     total = float((density * triangles.areas).sum())
     if not total > 0:
         return OverlapResult(np.zeros(len(tree)), 0, 0, 0)
-    starts, positions, order = _positions(tree, len(triangles))
+    order, starts, positions, leaf_of = _items(tree, len(triangles), fragments)
     box = np.concatenate([tree.lower, tree.upper], axis=1)
     workers = threads or thread_count()
     sums = np.zeros((workers, len(tree)), np.int64)
@@ -260,7 +286,7 @@ def overlap(
 
     def work(worker: int, begin: int, end: int) -> None:
         counts[worker] += _walk(
-            begin, end, order, triangles.corners, density, starts, positions, box,
+            begin, end, order, triangles.corners, density, starts, positions, leaf_of, box,
             tree.left, tree.first, tree.count, tree.depth, unit, sums[worker],
         )  # fmt: skip
 
@@ -279,7 +305,31 @@ def epo_per_node(tree: Tree, triangles: Any, **options: Any) -> F64:
     return node_costs(tree) * overlap(tree, triangles, **options).fraction
 
 
-def epo(tree: Tree, triangles: Any, **options: Any) -> float:
+def epo_per_depth(tree: Tree, triangles: Any, **options: Any) -> F64:
+    """EPO of the nodes of each depth; options as for :func:`overlap`.
+
+    Returns
+    -------
+    (depth + 1,) float64
+    """
+    return np.bincount(tree.depths, epo_per_node(tree, triangles, **options), tree.depth + 1)
+
+
+@typing.overload
+def epo(tree: Tree, triangles: Any, **options: Any) -> float: ...
+@typing.overload
+def epo(tree: Tree, triangles: Any, *, samples: int, seed: int = 0) -> Estimate: ...
+@typing.overload
+def epo(tree: Tree, triangles: Any, *, ray_ends: RayEnds) -> Estimate: ...
+def epo(
+    tree: Tree,
+    triangles: Any,
+    *,
+    samples: int | None = None,
+    seed: int = 0,
+    ray_ends: RayEnds | None = None,
+    **options: Any,
+) -> float | Estimate:
     """Expected extra cost of a point query at a ray's end, due to overlap.
 
     Parameters
@@ -287,18 +337,30 @@ def epo(tree: Tree, triangles: Any, **options: Any) -> float:
     tree : Tree
     triangles : Triangles or (N, 3, 3) array
         What the tree was built for.
+    samples : int, optional
+        Estimate it from so many points on the surfaces instead, stratified by area: for scenes
+        where the exact value takes too long, such as dense hair.
+    seed : int
+        Of the points.
+    ray_ends : RayEnds, optional
+        Where rays begin or end (:func:`mibvh.ray_ends`): average over these points instead of
+        evenly over all surfaces.
     **options
-        As for :func:`overlap`.
+        For the exact value, as for :func:`overlap`.
 
     Returns
     -------
-    float
+    float or Estimate
         In units of the cost constants that the tree was built with; 0 where no surface lies
-        in a foreign node.
+        in a foreign node. With ``samples`` or ``ray_ends``, an estimate with its standard error.
 
     Raises
     ------
     MibvhError
-        If the tree was built for another geometry.
+        If the tree was built for another geometry, or there are too few points.
     """
+    if samples is not None:
+        return estimate_epo(tree, triangles, samples, seed)
+    if ray_ends is not None:
+        return epo_at_ends(tree, triangles, ray_ends)
     return float(epo_per_node(tree, triangles, **options).sum())

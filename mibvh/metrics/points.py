@@ -1,0 +1,321 @@
+"""Point queries: what it costs to find a point on a surface, and how much of that is overlap.
+
+The estimators of EPO that need no clipping: points drawn on the surfaces, or the points where
+rays begin and end. Shares no code with the exact walk of :mod:`mibvh.metrics.epo`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from mibvh._jit import njit
+from mibvh.errors import MibvhError
+from mibvh.metrics.sah import node_costs
+from mibvh.parallel import run_blocks
+from mibvh.tree import Tree
+from mibvh.triangles import F64, I32, Triangles, as_triangles
+
+_BLOCK = 4096
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """A mean over points, with its standard error.
+
+    Attributes
+    ----------
+    value, standard_error : float
+        In units of the cost constants.
+    points : int
+        How many points it is over.
+    """
+
+    value: float
+    standard_error: float
+    points: int
+
+    def interval(self, confidence: float = 0.95) -> tuple[float, float]:
+        """Confidence interval, taking the mean as normally distributed."""
+        reach = float(stats.norm.ppf(0.5 + confidence / 2)) * self.standard_error
+        return self.value - reach, self.value + reach
+
+
+@njit
+def _query(begin, end, points, ids, starts, positions, lower, upper, left, first, count, cost, out):
+    """Cost of the nodes that hold each point: out[:, 0] foreign ones, out[:, 1] the point's own."""
+    stack = np.empty(256, np.int32)
+    for i in range(begin, end):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        t = ids[i]
+        foreign = own = 0.0
+        stack[0], top = 0, 1
+        while top > 0:
+            top -= 1
+            node = stack[top]
+            if (
+                x < lower[node, 0]
+                or y < lower[node, 1]
+                or z < lower[node, 2]
+                or x > upper[node, 0]
+                or y > upper[node, 1]
+                or z > upper[node, 2]
+            ):
+                continue
+            mine = False
+            for k in range(starts[t], starts[t + 1]):
+                if 0 <= positions[k] - first[node] < count[node]:
+                    mine = True
+            if mine:
+                own += cost[node]
+            else:
+                foreign += cost[node]
+            if left[node] >= 0:
+                stack[top] = left[node]
+                stack[top + 1] = left[node] + 1
+                top += 2
+        out[i, 0] = foreign
+        out[i, 1] = own
+
+
+def triangle_positions(tree: Tree, triangles: int) -> tuple[Any, Any]:
+    """Where each triangle's references stand in leaf order.
+
+    Returns
+    -------
+    starts : (triangles + 1,) int64
+    positions : (R,) int32
+        Those of triangle ``t`` are ``positions[starts[t]:starts[t + 1]]``, ascending.
+    """
+    starts = np.zeros(triangles + 1, np.int64)
+    np.cumsum(np.bincount(tree.references, minlength=triangles), out=starts[1:])
+    return starts, np.argsort(tree.references, kind="stable").astype(np.int32)
+
+
+def point_costs(tree: Tree, triangles: Any, points: F64, ids: I32) -> F64:
+    """Cost of a point query at each point.
+
+    Parameters
+    ----------
+    tree : Tree
+    triangles : Triangles or (N, 3, 3) array
+        What the tree was built for.
+    points : (P, 3) float64
+        On the triangles.
+    ids : (P,) int32
+        The triangle each point is on.
+
+    Returns
+    -------
+    (P, 2) float64
+        Cost of the foreign nodes that hold the point, which is overlap, and of the nodes that
+        its own triangle is referenced below, in units of the cost constants.
+    """
+    triangles = as_triangles(triangles)
+    tree.check_matches(triangles)
+    starts, positions = triangle_positions(tree, len(triangles))
+    out = np.zeros((len(points), 2))
+
+    def work(_worker: int, begin: int, end: int) -> None:
+        _query(begin, end, points, ids, starts, positions, tree.lower, tree.upper, tree.left,
+               tree.first, tree.count, node_costs(tree), out)  # fmt: skip
+
+    run_blocks(work, len(points), _BLOCK)
+    return out
+
+
+def points_on(triangles: Triangles, ids: I32, seed: int = 0) -> F64:
+    """(P, 3) float64: a random point on each of the named triangles, evenly spread."""
+    u, v = np.random.default_rng(seed).random((2, len(ids)))
+    over = u + v > 1
+    return barycentric(triangles, ids, np.where(over, 1 - u, u), np.where(over, 1 - v, v))
+
+
+def barycentric(triangles: Triangles, ids: I32, u: F64, v: F64) -> F64:
+    """(P, 3) float64: points of triangles; exactly in their plane where it is axis-aligned."""
+    a, b, c = np.moveaxis(triangles.corners[ids].astype(np.float64), 1, 0)
+    return a + u[:, None] * (b - a) + v[:, None] * (c - a)
+
+
+def estimate_epo(tree: Tree, triangles: Any, samples: int, seed: int = 0) -> Estimate:
+    """Estimate EPO from points on the surfaces, stratified by area.
+
+    The surfaces are laid end to end by area in leaf order of the tree's references, and cut
+    into ``samples / 2`` strata of equal area with two points in each, so that the error can be
+    told from the pairs.
+
+    Parameters
+    ----------
+    tree : Tree
+    triangles : Triangles or (N, 3, 3) array
+    samples : int
+        Points, at least 4; an odd one out is dropped.
+    seed : int
+
+    Returns
+    -------
+    Estimate
+
+    Raises
+    ------
+    MibvhError
+        For fewer than four points.
+    """
+    if samples < 4:
+        raise MibvhError(f"an estimate of EPO takes at least 4 points, not {samples}")
+    triangles = as_triangles(triangles)
+    rng = np.random.default_rng(seed)
+    _, first = np.unique(tree.references, return_index=True)
+    order = tree.references[np.sort(first)]
+    reach = np.cumsum(triangles.areas[order])
+    if not reach[-1] > 0:
+        return Estimate(0.0, 0.0, samples)
+    strata = samples // 2
+    at = (np.repeat(np.arange(strata), 2) + rng.random(2 * strata)) / strata * reach[-1]
+    place = np.minimum(np.searchsorted(reach, at, side="right"), len(order) - 1)
+    ids = order[place].astype(np.int32)
+    points = points_on(triangles, ids, seed + 1)
+    foreign = point_costs(tree, triangles, points, ids)[:, 0].reshape(strata, 2)
+    within = 0.5 * (foreign[:, 0] - foreign[:, 1]) ** 2  # variance of one point of the stratum
+    error = float(np.sqrt(within.sum() / 2) / strata)
+    return Estimate(float(foreign.mean()), error, 2 * strata)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RayEnds:
+    """Where rays begin or end: points on triangles.
+
+    Attributes
+    ----------
+    points : (P, 3) float64
+    triangle : (P,) int32
+    rays : int
+        Rays they come from; more than points where some rays have no such end.
+    """
+
+    points: F64
+    triangle: I32
+    rays: int
+
+    def __len__(self) -> int:
+        return len(self.triangle)
+
+    @property
+    def share(self) -> float:
+        """Share of the rays that have such an end."""
+        return len(self) / self.rays
+
+    def joined(self, other: RayEnds) -> RayEnds:
+        """Both sets of ends, as ends of the same rays."""
+        return RayEnds(
+            np.concatenate([self.points, other.points]),
+            np.concatenate([self.triangle, other.triangle]),
+            max(self.rays, other.rays),
+        )
+
+    def density(self, triangles: Triangles, pseudo: float = 1.0, group: int = 32) -> F64:
+        """Ends per area on each triangle, smoothed where few rays reach.
+
+        A triangle's density is drawn towards that of its neighbourhood as a gamma prior worth
+        ``pseudo`` ends does: ``(n + pseudo) / (area + pseudo / neighbourhood)``. Triangles that
+        many ends fall on keep their own; those that none reaches take their neighbours'.
+        Neighbourhoods are runs of triangles along a Morton curve with at least ``group`` ends.
+
+        Parameters
+        ----------
+        triangles : Triangles
+        pseudo : float
+            Ends that the neighbourhood counts for.
+        group : int
+            Ends per neighbourhood, at least.
+
+        Returns
+        -------
+        (N,) float64
+            Ends per unit of area; 0 for triangles without area.
+        """
+        from mibvh.builders.morton import morton_codes
+
+        hits = np.bincount(self.triangle, minlength=len(triangles)).astype(np.float64)
+        order = np.argsort(morton_codes(triangles.lower, triangles.upper), kind="stable")
+        run = ((np.cumsum(hits[order]) - hits[order]) // group).astype(np.int64)
+        run = np.unique(run, return_inverse=True)[1]
+        area = triangles.areas[order]
+        run_area = np.bincount(run, area)
+        around = np.bincount(run, hits[order]) / np.maximum(run_area, 1e-300)
+        overall = len(self) / max(float(triangles.areas.sum()), 1e-300)
+        prior = np.maximum(around[run], 1e-6 * overall)
+        density = np.zeros(len(triangles))
+        density[order] = (hits[order] + pseudo) / (area + pseudo / prior)
+        density[triangles.areas == 0] = 0.0
+        return density
+
+
+def ray_ends(triangles: Any, rays: Any, hits: Any) -> tuple[RayEnds, RayEnds]:
+    """Where the rays of a set begin, and where they end.
+
+    Parameters
+    ----------
+    triangles : Triangles or (N, 3, 3) array
+    rays : RaySet
+        With the triangle that each ray leaves (``source``).
+    hits : Hits
+        Of these rays, from any tree.
+
+    Returns
+    -------
+    starts, ends : RayEnds
+        Ends of the rays that hit something.
+    """
+    triangles = as_triangles(triangles)
+    left_from = np.flatnonzero(rays.source >= 0)
+    hit = np.flatnonzero(hits.triangle >= 0)
+    at = rays.o[hit].astype(np.float64) + rays.d[hit].astype(np.float64) * hits.t[hit, None]
+    return (
+        _on_surface(triangles, rays.o[left_from], rays.source[left_from], len(rays)),
+        _on_surface(triangles, at, hits.triangle[hit], len(rays)),
+    )
+
+
+def _on_surface(triangles: Triangles, near: Any, ids: I32, rays: int) -> RayEnds:
+    """Move points that lie on triangles up to roundings into them.
+
+    Boxes are closed and flat ones common: a point off its wall by a rounding would miss every
+    box whose face the wall is.
+    """
+    a, b, c = np.moveaxis(triangles.corners[ids].astype(np.float64), 1, 0)
+    e1, e2, p = b - a, c - a, near - a
+    d11, d12, d22 = (np.einsum("ij,ij->i", x, y) for x, y in ((e1, e1), (e1, e2), (e2, e2)))
+    p1, p2 = np.einsum("ij,ij->i", p, e1), np.einsum("ij,ij->i", p, e2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        determinant = d11 * d22 - d12 * d12
+        u = np.clip(np.nan_to_num((d22 * p1 - d12 * p2) / determinant), 0, 1)
+        v = np.clip(np.nan_to_num((d11 * p2 - d12 * p1) / determinant), 0, 1)
+    over = np.maximum(u + v, 1)
+    points = barycentric(triangles, ids, u / over, v / over)
+    return RayEnds(points, np.ascontiguousarray(ids, np.int32), rays)
+
+
+def epo_at_ends(tree: Tree, triangles: Any, ends: RayEnds) -> Estimate:
+    """Extra cost of a point query where rays really end, instead of evenly over all surfaces.
+
+    Parameters
+    ----------
+    tree : Tree
+    triangles : Triangles or (N, 3, 3) array
+    ends : RayEnds
+        From :func:`ray_ends`.
+
+    Returns
+    -------
+    Estimate
+        Mean over the ends; multiply by ``ends.share`` for the cost per ray.
+    """
+    if len(ends) < 2:
+        raise MibvhError(f"there are {len(ends)} ray ends, too few to average over")
+    foreign = point_costs(tree, triangles, ends.points, ends.triangle)[:, 0]
+    error = float(foreign.std(ddof=1) / np.sqrt(len(foreign)))
+    return Estimate(float(foreign.mean()), error, len(foreign))
