@@ -23,7 +23,7 @@ def njit(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
     compiled = numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
     compiled.mibvh_files = _files(function)
     cache_file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
-    if hasattr(cache_file, "_source_stamp"):
+    if cache_file is not None and hasattr(cache_file, "_source_stamp"):
         cache_file._source_stamp = _stamp(function, compiled.mibvh_files)
     return compiled
 

@@ -37,7 +37,8 @@ def _import_folder(name: str, path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(
         name, path / "__init__.py", submodule_search_locations=[str(path)]
     )
-    assert spec and spec.loader
+    if spec is None or spec.loader is None:
+        raise MibvhError(f"{path}: the bundled files are missing from this installation")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     spec.loader.exec_module(module)

@@ -261,7 +261,9 @@ def _print_study(result: Any) -> None:
 
 
 @app.command()
-def report(folder: Annotated[Path, typer.Argument(help="of a study")], as_json: Json = False) -> None:
+def report(
+    folder: Annotated[Path, typer.Argument(help="of a study")], as_json: Json = False
+) -> None:
     """Remake a study's tables and report without measuring again."""
     from mibvh.studies.run import read_study, write_outputs
 
@@ -296,7 +298,9 @@ def doctor(as_json: Json = False) -> None:
         typer.echo(json.dumps(found))
     else:
         environment = found.pop("environment", {})
-        _print({**found, "advice": "; ".join(found["advice"]) or "none needed", **environment}, False)
+        _print(
+            {**found, "advice": "; ".join(found["advice"]) or "none needed", **environment}, False
+        )
     if not found["ready"]:
         raise typer.Exit(2)
 
@@ -320,7 +324,9 @@ def scenes_list(as_json: Json = False) -> None:
 
 @scenes_app.command("make")
 def scenes_make(
-    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME...]", help="all by default")] = None,
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME...]", help="all by default")
+    ] = None,
     triangles: Annotated[int | None, typer.Option(help="size; each scene's own by default")] = None,
     seed: Annotated[int | None, typer.Option(help="each scene's own by default")] = None,
     output: Annotated[
@@ -359,7 +365,9 @@ def scenes_show(
     scene = load(name)
     with atomic_path(output) as path:
         path.write_bytes(base64.b64decode(picture(scene)))
-    _print({"scene": scene.name, "triangles": len(scene.triangles), "picture": str(output)}, as_json)
+    _print(
+        {"scene": scene.name, "triangles": len(scene.triangles), "picture": str(output)}, as_json
+    )
 
 
 def main() -> None:

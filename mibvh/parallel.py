@@ -20,8 +20,10 @@ def thread_count() -> int:
     """
     asked = os.environ.get("MIBVH_THREADS")
     if asked is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (
-            os.cpu_count() or 1
+        return (
+            len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else (os.cpu_count() or 1)
         )
     if not asked.isdigit() or int(asked) < 1:
         raise MibvhError(f"MIBVH_THREADS must be a positive whole number, not {asked!r}")

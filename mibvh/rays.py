@@ -73,7 +73,8 @@ class RaySet:
         ----------
         chosen : index array, boolean mask or slice
         """
-        return RaySet(*(getattr(self, name)[chosen] for name in _ARRAYS), self.meta)
+        arrays = {name: getattr(self, name)[chosen] for name in _ARRAYS}
+        return RaySet(**arrays, meta=self.meta)
 
     def rotated(self, rotation: F64) -> RaySet:
         """Turn about the origin, as :meth:`mibvh.Triangles.rotated` turns the scene."""
@@ -165,7 +166,8 @@ def diffuse_rays(
             raise MibvhError(f"{name} must be at least 1, not {value}")
     if viewpoints is not None and viewpoints > len(scene.sensors):
         raise MibvhError(
-            f"{scene.name} has {len(scene.sensors)} viewpoints, fewer than the {viewpoints} asked for"
+            f"{scene.name} has {len(scene.sensors)} viewpoints, fewer than the {viewpoints} asked "
+            "for"
         )
     mi = mitsuba()
     # Zero-copy views of NumPy memory would keep gathers from being vectorised.
@@ -210,7 +212,8 @@ def _primary_rays(mi: Any, sensor: Any, width: int, height: int, samples: int, r
     index = dr.arange(mi.UInt32, width * height * samples) // samples
     column, row = index % width, index // width
     place = mi.Point2f(
-        (mi.Float(column) + rng.next_float32()) / width, (mi.Float(row) + rng.next_float32()) / height
+        (mi.Float(column) + rng.next_float32()) / width,
+        (mi.Float(row) + rng.next_float32()) / height,
     )
     aperture = mi.Point2f(rng.next_float32(), rng.next_float32())
     ray, _ = sensor.sample_ray(mi.Float(0), mi.Float(0.5), place, aperture)

@@ -113,7 +113,9 @@ def _scene_name(path: Path) -> str:
 # ------------------------------------------------------------------ Mitsuba scenes
 
 
-def _from_parser(name: str, parse: Any, where: str | None = None, folder: Path | None = None) -> Scene:
+def _from_parser(
+    name: str, parse: Any, where: str | None = None, folder: Path | None = None
+) -> Scene:
     """Parse, flatten instances, instantiate; Mitsuba's own error message on failure."""
     mi = mitsuba()
     where = where or name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,7 @@ def _cylinder() -> F64:
 def _sphere() -> F64:
     polar = np.linspace(0, np.pi, _SEGMENTS // 2 + 1)
     rings = [np.sin(p) * _circle() + [0, 0, np.cos(p)] for p in polar]
-    strips = [_strip(a, b) for a, b in zip(rings[:-1], rings[1:], strict=True)]
+    strips = [_strip(a, b) for a, b in itertools.pairwise(rings)]
     corners = np.concatenate(strips)
     edges = corners - np.roll(corners, 1, axis=1)
     return corners[(np.linalg.norm(edges, axis=2) > 1e-9).all(axis=1)]  # none at the poles

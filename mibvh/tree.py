@@ -186,8 +186,10 @@ class Tree:
             If the recorded digest, or failing one the reference range, does not fit.
         """
         digest = self.meta.get("digest")
-        fits = int(self.references.max()) < len(triangles) if digest is None else (
-            digest == triangles.digest
+        fits = (
+            int(self.references.max()) < len(triangles)
+            if digest is None
+            else (digest == triangles.digest)
         )
         if not fits:
             raise MibvhError(

@@ -130,7 +130,7 @@ def rotation_about(axis: tuple[float, float, float], degrees: float) -> F64:
 
 
 def as_triangles(triangles: Any) -> Triangles:
-    """Take :class:`Triangles`, anything that has ``.triangles`` (a Scene, a trimesh), or an array."""
+    """Take :class:`Triangles`, what has ``.triangles`` (a Scene, a trimesh), or an array."""
     if isinstance(triangles, Triangles):
         return triangles
     inner = getattr(triangles, "triangles", triangles)

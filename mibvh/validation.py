@@ -119,8 +119,8 @@ def _barycentric_grid() -> F64:
     """(P, 3) float64: barycentric coordinates of a regular grid of points."""
     u, v = np.meshgrid(np.arange(_GRID + 1), np.arange(_GRID + 1), indexing="ij")
     keep = u + v <= _GRID
-    u, v = u[keep] / _GRID, v[keep] / _GRID
-    return np.stack([1 - u - v, u, v], axis=1)
+    a, b = u[keep] / _GRID, v[keep] / _GRID
+    return np.stack([1 - a - b, a, b], axis=1)
 
 
 def _uncovered(tree: Tree, triangles: Triangles, ids: np.ndarray, nodes: np.ndarray) -> int:

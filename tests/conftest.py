@@ -29,7 +29,8 @@ def closed_box(lower: float = 0.0, upper: float = 1.0, cells: int = 4) -> np.nda
     s = np.linspace(lower, upper, cells + 1)
     u, v = (g.ravel() for g in np.meshgrid(np.arange(cells), np.arange(cells), indexing="ij"))
     quads = np.stack([np.stack([s[u], s[v]], 1), np.stack([s[u + 1], s[v]], 1),
-                      np.stack([s[u + 1], s[v + 1]], 1), np.stack([s[u], s[v + 1]], 1)], 1)  # fmt: skip
+                      np.stack([s[u + 1], s[v + 1]], 1),
+                      np.stack([s[u], s[v + 1]], 1)], 1)  # fmt: skip
     flat = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     faces = []
     for axis in range(3):

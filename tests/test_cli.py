@@ -38,7 +38,9 @@ def test_the_whole_path(cli, tmp_path):
     assert metrics["sah"] == built["sah"]
     assert metrics["epo"] > 0
     assert {"nodes", "leaves", "depth", "mean_leaf_size"} <= set(metrics)
-    code, out, _ = cli("rays", scene, "-o", rays, "--width", 32, "--height", 24, "--bounces", 2, "--json")
+    code, out, _ = cli(
+        "rays", scene, "-o", rays, "--width", 32, "--height", 24, "--bounces", 2, "--json"
+    )
     made = json.loads(out)
     assert made["rays"] == len(mibvh.RaySet.load(rays))
     assert made["rays_per_bounce"]["1"] + made["rays_per_bounce"]["2"] == made["rays"]
@@ -109,7 +111,8 @@ def test_usage_errors_exit_with_2(cli):
 
 
 @pytest.mark.parametrize(
-    "command", ["build", "metrics", "rays", "trace", "study", "report", "builders", "doctor", "scenes"]
+    "command",
+    ["build", "metrics", "rays", "trace", "study", "report", "builders", "doctor", "scenes"],
 )
 def test_help(cli, command):
     code, out, _ = cli(command, "--help")
@@ -143,7 +146,9 @@ def test_scenes_make_and_show(cli, tmp_path):
     code, out, _ = cli("scenes", "make", "cornell", "--triangles", 3000, "-o", tmp_path)
     assert code == 0
     assert (tmp_path / "cornell" / "scene.xml").exists()
-    code, out, _ = cli("scenes", "show", tmp_path / "cornell" / "scene.xml", "-o", tmp_path / "p.png", "--json")
+    code, out, _ = cli(
+        "scenes", "show", tmp_path / "cornell" / "scene.xml", "-o", tmp_path / "p.png", "--json"
+    )
     assert code == 0
     assert json.loads(out)["triangles"] > 1000
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")

@@ -47,8 +47,10 @@ def test_epo_is_zero_for_a_spatial_partition():
 def test_epo_by_hand():
     # The second square reaches 0.25 into the first leaf and the second leaf begins at 0.75:
     # a quarter of each square (area 0.25 of 2) lies in the other's leaf, at a cost of 2 each.
-    tree = hand_tree(lower=np.array([[0, 0, 0], [0, 0, 0], [0.75, 0, 0]], np.float32),
-                     upper=np.array([[1.75, 1, 0], [1, 1, 0], [1.75, 1, 0]], np.float32))  # fmt: skip
+    tree = hand_tree(
+        lower=np.array([[0, 0, 0], [0, 0, 0], [0.75, 0, 0]], np.float32),
+        upper=np.array([[1.75, 1, 0], [1, 1, 0], [1.75, 1, 0]], np.float32),
+    )
     assert mibvh.epo(tree, hand_triangles(0.25)) == pytest.approx(2 * 2 * 0.25 / 2, abs=1e-12)
 
 
@@ -118,7 +120,9 @@ def split_tree(triangles):
     both = tree.references[tree.first[right] : tree.first[right] + 5]
     # Give the last leaf of the left half five triangles of the right half as well.
     leaves = np.flatnonzero(tree.is_leaf)
-    last = leaves[np.argmax(np.where(tree.first[leaves] < tree.first[right], tree.first[leaves], -1))]
+    last = leaves[
+        np.argmax(np.where(tree.first[leaves] < tree.first[right], tree.first[leaves], -1))
+    ]
     cut = tree.first[right]
     count, first = tree.count.copy(), tree.first.copy()
     first[first >= cut] += 5
@@ -182,13 +186,16 @@ def test_epo_does_not_depend_on_threads_scale_or_place():
     )
     moved = mibvh.Triangles(triangles.corners.astype(np.float64) + [8, -4, 2])
     assert mibvh.epo(mibvh.build(moved, "lbvh"), moved) == pytest.approx(
-        mibvh.epo(tree, triangles), rel=1e-2  # float32 boxes move by roundings
+        mibvh.epo(tree, triangles),
+        rel=1e-2,  # float32 boxes move by roundings
     )
 
 
 def test_weights_move_epo_to_where_rays_end():
-    tree = hand_tree(lower=np.array([[0, 0, 0], [0, 0, 0], [0.75, 0, 0]], np.float32),
-                     upper=np.array([[1.75, 1, 0], [1, 1, 0], [1.75, 1, 0]], np.float32))  # fmt: skip
+    tree = hand_tree(
+        lower=np.array([[0, 0, 0], [0, 0, 0], [0.75, 0, 0]], np.float32),
+        upper=np.array([[1.75, 1, 0], [1, 1, 0], [1.75, 1, 0]], np.float32),
+    )
     # Only the second square has ray ends: a quarter of its area lies in the first leaf.
     weighted = mibvh.epo(tree, hand_triangles(0.25), weights=[0, 0, 5, 5])
     assert weighted == pytest.approx(2 * 0.25, abs=1e-12)

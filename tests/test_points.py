@@ -36,7 +36,9 @@ def test_estimate_is_better_than_its_points_alone():
     tree = mibvh.build(triangles, "lbvh")
     found = mibvh.epo(tree, triangles, samples=4000)
     rng = np.random.default_rng(0)
-    ids = rng.choice(len(triangles), 4000, p=triangles.areas / triangles.areas.sum()).astype(np.int32)
+    ids = rng.choice(len(triangles), 4000, p=triangles.areas / triangles.areas.sum()).astype(
+        np.int32
+    )
     plain = point_costs(tree, triangles, points_on(triangles, ids), ids)[:, 0]
     assert 0 < found.standard_error < plain.std() / np.sqrt(4000)
     with pytest.raises(mibvh.MibvhError, match="at least 4 points"):

@@ -1,7 +1,21 @@
 import numpy as np
 import pytest
+from conftest import closed_box, soup
 
-from mibvh.metrics.predictor import agreement, fit_alpha, pearson, predict
+import mibvh
+from mibvh.metrics.predictor import (
+    agreement,
+    bootstrap_interval,
+    estimate_alpha,
+    finite_ray_cost,
+    fit_alpha,
+    fitted_combination,
+    held_out,
+    path_length_ratio,
+    pearson,
+    predict,
+)
+from mibvh.metrics.sah import node_costs
 
 
 def test_fit_alpha_recovers_the_mixture():
@@ -40,3 +54,75 @@ def test_agreement_names_the_absurd_tree():
     assert line["worst_error"] == pytest.approx(0, abs=1e-12)
     assert line["spearman"] == pytest.approx(1)
     assert line["kendall"] == pytest.approx(1)
+
+
+def test_held_out_is_what_the_others_say():
+    x = np.array([1.0, 2, 3, 4, 5])
+    predicted = held_out([x], 2 * x + 1)
+    np.testing.assert_allclose(predicted, 2 * x + 1)
+    y = 2 * x + 1
+    y[4] = 0
+    assert held_out([x], y)[4] == pytest.approx(11)
+    assert np.isnan(held_out([x, x**2, x**3], y)).all()
+
+
+def test_fitted_combination_takes_no_negative_weight():
+    rng = np.random.default_rng(0)
+    a, b, c = rng.random((3, 9))
+    np.testing.assert_allclose(fitted_combination([a, b, c], a + 2 * b + 3 * c), a + 2 * b + 3 * c)
+    only_a = fitted_combination([a, -a], 5 * a)
+    assert pearson(only_a, a) == pytest.approx(1)
+
+
+def test_bootstrap_interval_covers_r():
+    """For one set of trees, the interval of r holds the r of far more rays."""
+    rng = np.random.default_rng(0)
+    predicted = rng.random(8)
+    true_cost = predicted + 0.1 * rng.random(8)
+    r, held = pearson(predicted, true_cost), 0
+    for seed in range(60):
+        noise = np.random.default_rng(seed).normal(size=(8, 64))
+        low, high = bootstrap_interval(predicted, true_cost[:, None] + 0.5 * noise, seed=seed)
+        held += low <= r + 0.01 and high >= r - 0.05
+        assert low <= high
+    assert held >= 45
+
+
+def test_path_length_in_a_closed_cube_by_hand():
+    """In a unit cube (mean chord 2/3) rays end at the walls."""
+    box = mibvh.Triangles(closed_box())
+    o = np.array([[0.5, 0.5, 0.25], [0.5, 0.5, 0.5]], np.float32)
+    d = np.array([[0, 0, 1], [1, 0, 0]], np.float32)
+    zeros = np.zeros(2, np.int32)
+    rays = mibvh.RaySet(o, d, np.full(2, np.inf, np.float32), zeros, zeros, zeros)
+    hits = mibvh.trace(mibvh.build(box, "bbvh"), box, rays, repeats=1)
+    assert path_length_ratio(box, rays, hits) == pytest.approx((0.75 + 0.5) / 2 / (2 / 3))
+    assert estimate_alpha(1.0) == 0.5
+
+
+def test_finite_rays_are_predicted_without_a_fit():
+    """The derivation's own case: segments of one length, of any place and direction.
+
+    Starts are even in a box that holds all segments that touch the tree; counted per volume of
+    the root, the nodes touched are those that hold the start and those that are entered.
+    """
+    rng = np.random.default_rng(0)
+    triangles = soup(1000, 1, 0.05)
+    tree = mibvh.build(triangles, "lbvh")
+    lower, upper = triangles.bounds.astype(float)
+    length, count = 0.4, 40000
+    o = lower - length + (upper - lower + 2 * length) * rng.random((count, 3))
+    d = rng.normal(size=(count, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    touched, holds = np.zeros(count), np.zeros(count)
+    for node, cost in enumerate(node_costs(tree)):
+        a, b = (tree.lower[node] - o) / d, (tree.upper[node] - o) / d
+        near, far = np.minimum(a, b).max(1), np.maximum(a, b).min(1)
+        touched += cost * ((near <= far) & (near <= length) & (far >= 0))
+        holds += cost * ((near <= 0) & (far >= 0))
+    x, y, z = upper - lower
+    per_root = np.prod(upper - lower + 2 * length) / (x * y * z)
+    ratio = length / (4 * x * y * z / (2 * (x * y + y * z + z * x)))
+    predicted = finite_ray_cost([mibvh.sah(tree)], [holds.mean() * per_root], ratio)[0]
+    assert predicted == pytest.approx(touched.mean() * per_root, rel=0.03)
+    assert 0.2 < holds.mean() / touched.mean() < 0.8  # both parts matter

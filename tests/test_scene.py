@@ -7,7 +7,8 @@ import mibvh
 
 CAMERA = """<sensor type="perspective"><transform name="to_world">
 <lookat origin="0, 0, -9" target="0, 0, 0" up="0, 1, 0"/></transform>
-<film type="hdrfilm"><integer name="width" value="48"/><integer name="height" value="32"/></film></sensor>"""
+<film type="hdrfilm"><integer name="width" value="48"/><integer name="height" value="32"/></film>
+</sensor>"""
 
 
 def xml(tmp_path, body, camera=CAMERA):
@@ -22,7 +23,8 @@ def test_instances_are_flattened_and_transformed(tmp_path):
         <shape type="instance"><ref id="g"/></shape>
         <shape type="instance"><ref id="g"/><transform name="to_world">
           <scale value="2"/><translate x="10"/></transform></shape>
-        <shape type="cube"><transform name="to_world"><translate y="-5"/></transform></shape>"""))  # fmt: skip
+        <shape type="cube"><transform name="to_world"><translate y="-5"/></transform></shape>
+        """))  # fmt: skip
     assert scene.name == "a_scene"
     assert len(scene.triangles) == 12 + 2 * (12 + 2)
     np.testing.assert_allclose(scene.triangles.bounds, [[-1, -6, -2], [12, 2, 2]], atol=1e-6)
@@ -34,7 +36,8 @@ def test_instances_are_flattened_and_transformed(tmp_path):
 def test_analytic_shapes_are_tessellated_and_others_named(tmp_path):
     scene = mibvh.load(xml(tmp_path, """
         <shape type="sphere" id="ball"><float name="radius" value="2"/></shape>
-        <shape type="disk" id="plate"><transform name="to_world"><translate z="5"/></transform></shape>
+        <shape type="disk" id="plate"><transform name="to_world"><translate z="5"/></transform>
+        </shape>
         <shape type="cylinder" id="can"/>"""))  # fmt: skip
     said = " ".join(scene.notes)
     for name in ("ball", "plate", "can"):
@@ -82,7 +85,9 @@ def test_bad_input_gets_one_sentence(tmp_path):
     with pytest.raises(mibvh.MibvhError, match="no such file, and no bundled scene"):
         mibvh.load("nowhere.xml")
     with pytest.raises(mibvh.MibvhError, match="Mitsuba cannot load it"):
-        mibvh.load(xml(tmp_path, '<shape type="ply"><string name="filename" value="no.ply"/></shape>'))
+        mibvh.load(
+            xml(tmp_path, '<shape type="ply"><string name="filename" value="no.ply"/></shape>')
+        )
     with pytest.raises(mibvh.MibvhError, match="no triangle in it"):
         mibvh.load(xml(tmp_path, ""))
     broken = tmp_path / "broken.ply"

@@ -48,11 +48,9 @@ class Options:
                 value = float(value)
                 object.__setattr__(self, field.name, value)
             if type(value) is not kind:
-                raise MibvhError(
-                    f"option {field.name} takes a {kind.__name__}, not {value!r}"
-                )
+                raise MibvhError(f"option {field.name} takes a {kind.__name__}, not {value!r}")
             low, high = field.metadata.get("low"), field.metadata.get("high")
-            if low is not None and not low <= value <= high:
+            if low is not None and high is not None and not low <= value <= high:
                 raise MibvhError(f"option {field.name} must be from {low} to {high}, not {value}")
 
 
@@ -111,8 +109,10 @@ class Builder:
             text = b"".join(path.read_bytes() for path in files)
         else:
             source = inspect.getsourcefile(self.function)
-            text = Path(source).read_bytes() if source and Path(source).exists() else (
-                self.function.__code__.co_code
+            text = (
+                Path(source).read_bytes()
+                if source and Path(source).exists()
+                else (self.function.__code__.co_code)
             )
         return hashlib.sha256(text).hexdigest()
 
@@ -190,8 +190,10 @@ def get(name: str) -> Builder:
 
 @functools.cache
 def _warm_up(name: str) -> None:
-    """Run one of the paper's builders once on next to nothing, so that the seconds reported for a
-    tree hold no compilation, nor the loading of compiled code."""
+    """Run one of the paper's builders once on next to nothing.
+
+    So the seconds reported for a tree hold no compilation, nor the loading of compiled code.
+    """
     if name in _BUNDLED:
         corners = np.random.default_rng(0).random((24, 3, 3))
         triangles = Triangles(corners.astype(np.float32), "warm-up")

@@ -105,7 +105,7 @@ def _area(polygon, n):
 @njit
 def _own(positions, start, end, first, count):
     """Whether one of a triangle's positions in leaf order lies in a node's range."""
-    for i in range(start, end):
+    for i in range(start, end):  # noqa: SIM110 - Numba has no any()
         if 0 <= positions[i] - first < count:
             return True
     return False
@@ -224,8 +224,11 @@ def _walk(
 
 
 def _items(tree: Tree, triangles: int, fragments: bool) -> tuple[Any, ...]:
-    """What is walked, in leaf order so that neighbours come together: the triangle of each item,
-    where its references stand (starts, positions), and the leaf it is cut to, if any."""
+    """What is walked, in leaf order so that neighbours come together.
+
+    The triangle of each item, where its references stand (starts, positions), and the leaf it is
+    cut to, if any.
+    """
     if fragments:
         leaves = np.flatnonzero(tree.is_leaf)
         leaves = leaves[np.argsort(tree.first[leaves], kind="stable")]
@@ -312,15 +315,24 @@ def epo_per_depth(tree: Tree, triangles: Any, **options: Any) -> F64:
     -------
     (depth + 1,) float64
     """
-    return np.bincount(tree.depths, epo_per_node(tree, triangles, **options), tree.depth + 1)
+    shares = epo_per_node(tree, triangles, **options)
+    return np.bincount(tree.depths, shares, tree.depth + 1).astype(np.float64)
 
 
-@typing.overload
-def epo(tree: Tree, triangles: Any, **options: Any) -> float: ...
 @typing.overload
 def epo(tree: Tree, triangles: Any, *, samples: int, seed: int = 0) -> Estimate: ...
 @typing.overload
 def epo(tree: Tree, triangles: Any, *, ray_ends: RayEnds) -> Estimate: ...
+@typing.overload
+def epo(
+    tree: Tree,
+    triangles: Any,
+    *,
+    weights: npt.ArrayLike | None = None,
+    fragments: bool = False,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> float: ...
 def epo(
     tree: Tree,
     triangles: Any,

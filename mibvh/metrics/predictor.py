@@ -6,11 +6,12 @@ comes from its ends rather than from its length.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy import optimize, stats
 
 #: The best fixed alpha on the paper's slides, and the default of other codes that cite it.
 FIXED_ALPHAS = (0.79, 0.71)
@@ -65,6 +66,138 @@ def fit_alpha(sah: npt.ArrayLike, epo: npt.ArrayLike, measured: npt.ArrayLike) -
         return float(weights[1] / weights.sum())
     alone = np.nan_to_num([pearson(s, y), pearson(e, y)], nan=-1.0)
     return float(alone.argmax())
+
+
+def path_length_ratio(triangles: Any, rays: Any, hits: Any) -> float:
+    """Mean length of the rays inside the scene's box over the mean chord of that box.
+
+    The mean chord of a convex body of volume V and surface A is 4 V / A: what a long random ray
+    spends in it. Rays that miss count up to where they leave the box.
+
+    Parameters
+    ----------
+    triangles : Triangles
+    rays : RaySet
+    hits : Hits
+        Of these rays, from any tree.
+    """
+    lower, upper = triangles.bounds.astype(np.float64)
+    x, y, z = upper - lower
+    surface = 2 * (x * y + y * z + z * x)
+    if not x * y * z > 0:
+        return float("nan")
+    o, d = rays.o.astype(np.float64), rays.d.astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        leaves = np.where(d > 0, (upper - o) / d, np.where(d < 0, (lower - o) / d, np.inf))
+    length = np.minimum(hits.t, np.maximum(leaves.min(axis=1), 0))
+    return float(length.mean() / (4 * x * y * z / surface))
+
+
+def estimate_alpha(length_ratio: float) -> float:
+    """Alpha without measuring any tree: ``1 / (1 + s)``, derived in ``docs/alpha.md``.
+
+    Parameters
+    ----------
+    length_ratio : float
+        ``s`` from :func:`path_length_ratio`.
+    """
+    return 1.0 / (1.0 + length_ratio)
+
+
+def finite_ray_cost(
+    sah: npt.ArrayLike, point_query: npt.ArrayLike, length_ratio: float
+) -> npt.NDArray[np.float64]:
+    """Cost of a ray of finite length, with nothing fitted: ``s SAH + Q``.
+
+    A ray visits the nodes that hold its start, and those that it enters on its way. The first
+    are a point query's, ``Q``; of the second there are as many as the surface area heuristic
+    says for a long ray, times the share ``s`` of a long ray that it is. Derived in
+    ``docs/alpha.md``.
+
+    Parameters
+    ----------
+    sah, point_query : (K,) array
+        Per tree; the query is the mean over the rays' starts of all nodes that hold them.
+    length_ratio : float
+        From :func:`path_length_ratio`.
+    """
+    return length_ratio * np.asarray(sah, np.float64) + np.asarray(point_query, np.float64)
+
+
+def held_out(columns: Sequence[npt.ArrayLike], measured: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Predict each tree from a least-squares fit to the others (leave one tree out).
+
+    Parameters
+    ----------
+    columns : list of (K,) array
+        Metrics whose weights are fitted, beside a constant.
+    measured : (K,) array
+
+    Returns
+    -------
+    (K,) float64
+        NaN where there are too few trees to fit.
+    """
+    y = np.asarray(measured, np.float64)
+    x = np.stack([np.ones(len(y)), *(np.asarray(c, np.float64) for c in columns)], axis=1)
+    if len(y) < x.shape[1] + 2:
+        return np.full(len(y), np.nan)
+    found = np.empty(len(y))
+    for i in range(len(y)):
+        others = np.arange(len(y)) != i
+        found[i] = x[i] @ np.linalg.lstsq(x[others], y[others], rcond=None)[0]
+    return found
+
+
+def fitted_combination(
+    columns: Sequence[npt.ArrayLike], measured: npt.ArrayLike
+) -> npt.NDArray[np.float64]:
+    """The linear combination, no weight negative, of greatest correlation with a measurement.
+
+    Parameters
+    ----------
+    columns : list of (K,) array
+        For instance SAH, EPO and LCV.
+    measured : (K,) array
+
+    Returns
+    -------
+    (K,) float64
+        The combination's values, on the measurement's scale.
+    """
+    y = np.asarray(measured, np.float64)
+    x = np.stack([np.asarray(c, np.float64) for c in columns], axis=1)
+    weights, _ = optimize.nnls(x - x.mean(axis=0), y - y.mean())
+    return (x - x.mean(axis=0)) @ weights + y.mean()
+
+
+def bootstrap_interval(
+    predicted: npt.ArrayLike, groups: npt.ArrayLike, confidence: float = 0.95, seed: int = 0
+) -> tuple[float, float]:
+    """Confidence interval of Pearson's r over the rays.
+
+    Parameters
+    ----------
+    predicted : (K,) array
+        Per tree.
+    groups : (K, G) array
+        Mean cost of each tree over each of G random groups of rays; groups are drawn again.
+    confidence : float
+    seed : int
+
+    Returns
+    -------
+    low, high : float
+        NaN where r is not defined.
+    """
+    x, y = np.asarray(predicted, np.float64), np.asarray(groups, np.float64)
+    if np.isnan(pearson(x, y.mean(axis=1))):
+        return float("nan"), float("nan")
+    drawn = np.random.default_rng(seed).integers(0, y.shape[1], (1000, y.shape[1]))
+    means = y[:, drawn].mean(axis=2)
+    r = [pearson(x, column) for column in means.T]
+    low, high = np.quantile(r, [0.5 - confidence / 2, 0.5 + confidence / 2])
+    return float(low), float(high)
 
 
 def agreement(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> dict[str, Any]:

@@ -6,14 +6,37 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy import optimize
 
-from mibvh.metrics.predictor import FIXED_ALPHAS, agreement, fit_alpha, predict
+from mibvh.metrics.predictor import (
+    FIXED_ALPHAS,
+    agreement,
+    bootstrap_interval,
+    estimate_alpha,
+    finite_ray_cost,
+    fit_alpha,
+    fitted_combination,
+    held_out,
+    pearson,
+    predict,
+)
 
 #: Measurements that predictors are held against: column, what it is.
 MEASUREMENTS = {
     "counted_cost": "counted cost",
     "scalar_ns": "scalar ns/ray",
     "simd_ns": "SIMD ns/ray",
+}
+#: Predictors, and what each is.
+PREDICTORS = {
+    "SAH": "the surface area heuristic alone",
+    "fitted": "(1 − α) SAH + α EPO, α fitted to the scene's trees",
+    **{f"fixed {a}": f"(1 − α) SAH + α EPO, α = {a}" for a in FIXED_ALPHAS},
+    "fixed best": "(1 − α) SAH + α EPO, the α of greatest mean r over these scenes",
+    "estimated": "(1 − α) SAH + α EPO, α from the rays' mean length; no tree is measured",
+    "ray ends": "(1 − α) SAH + α EPO at the rays' starts and ends, α fitted",
+    "finite rays": "s SAH + point query at the rays' starts; nothing is fitted",
+    "with LCV": "SAH, EPO and LCV, both weights fitted",
 }
 
 
@@ -22,18 +45,44 @@ def column(record: dict[str, Any], name: str) -> np.ndarray:
     return np.array([tree[name] for tree in record["trees"]], dtype=np.float64)
 
 
-def predictors(record: dict[str, Any], measured: np.ndarray) -> dict[str, tuple[float, np.ndarray]]:
-    """Alpha and prediction of each predictor for the trees of a scene.
+def best_fixed_alpha(records: list[dict[str, Any]], measurement: str) -> float:
+    """Alpha of the greatest mean Pearson r over all scenes; NaN where no r is defined."""
+    cases = [
+        (column(r, "sah"), column(r, "epo"), column(r, measurement))
+        for r in records
+        if np.isfinite(pearson(column(r, "sah"), column(r, measurement)))
+    ]
+    if not cases:
+        return float("nan")
+    grid = np.linspace(0, 1, 101)
+    mean = [np.mean([pearson(predict(s, e, a), y) for s, e, y in cases]) for a in grid]
+    return float(grid[int(np.argmax(mean))])
 
-    Returns
-    -------
-    dict of str to (float, (K,) array)
-        ``SAH``, ``fitted``, and one per fixed alpha.
-    """
-    sah, epo = column(record, "sah"), column(record, "epo")
-    fitted = fit_alpha(sah, epo, measured)
-    chosen = {"SAH": 0.0, "fitted": fitted, **{f"fixed {a}": a for a in FIXED_ALPHAS}}
-    return {name: (alpha, predict(sah, epo, alpha)) for name, alpha in chosen.items()}
+
+def predictors(
+    record: dict[str, Any], measurement: str, best_alpha: float
+) -> dict[str, tuple[float, np.ndarray]]:
+    """Alpha (NaN where there is none) and prediction of each of :data:`PREDICTORS`."""
+    sah, epo, measured = (column(record, name) for name in ("sah", "epo", measurement))
+    share, ratio = (float(column(record, name)[0]) for name in ("hit_share", "length_ratio"))
+    at_ends = column(record, "epo_starts") + share * column(record, "epo_ends")
+    alphas = {
+        "SAH": 0.0,
+        "fitted": fit_alpha(sah, epo, measured),
+        **{f"fixed {a}": a for a in FIXED_ALPHAS},
+        "fixed best": best_alpha,
+        "estimated": estimate_alpha(ratio),
+    }
+    found = {name: (alpha, predict(sah, epo, alpha)) for name, alpha in alphas.items()}
+    of_ends = fit_alpha(sah, at_ends, measured)
+    found["ray ends"] = (of_ends, predict(sah, at_ends, of_ends))
+    none = float("nan")
+    found["finite rays"] = (none, finite_ray_cost(sah, column(record, "point_query"), ratio))
+    columns = [sah, epo, column(record, "lcv")]
+    enough = len(measured) > len(columns) + 1
+    combined = fitted_combination(columns, measured) if enough else np.full(len(measured), none)
+    found["with LCV"] = (none, combined)
+    return found
 
 
 def correlations(records: list[dict[str, Any]]) -> pd.DataFrame:
@@ -42,19 +91,36 @@ def correlations(records: list[dict[str, Any]]) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns ``scene, measurement, predictor, alpha`` and those of
-        :func:`mibvh.metrics.predictor.agreement`.
+        Columns ``scene, measurement, predictor, alpha``, those of
+        :func:`mibvh.metrics.predictor.agreement`, ``held_out`` (Pearson r of trees predicted from
+        a fit to the other trees, for predictors with fitted weights), and ``low, high`` (95%
+        bootstrap interval of r over the rays, for counted cost).
     """
     rows = []
-    for record in records:
-        for measurement in MEASUREMENTS:
+    for measurement in MEASUREMENTS:
+        best = best_fixed_alpha(records, measurement)
+        for record in records:
             measured = column(record, measurement)
-            for name, (alpha, values) in predictors(record, measured).items():
+            groups = np.array([tree["cost_groups"] for tree in record["trees"]])
+            for name, (alpha, values) in predictors(record, measurement, best).items():
+                low = high = float("nan")
+                if measurement == "counted_cost":
+                    low, high = bootstrap_interval(values, groups)
                 rows.append({
                     "scene": record["scene"], "measurement": measurement, "predictor": name,
                     "alpha": alpha, **agreement(values, measured),
+                    "held_out": _held_out(record, name, measured), "low": low, "high": high,
                 })  # fmt: skip
     return pd.DataFrame(rows)
+
+
+def _held_out(record: dict[str, Any], predictor: str, measured: np.ndarray) -> float:
+    """Pearson r of trees predicted from a fit to the others."""
+    names = {"fitted": ("sah", "epo"), "with LCV": ("sah", "epo", "lcv")}.get(predictor)
+    if names is None:
+        return float("nan")
+    predicted = held_out([column(record, name) for name in names], measured)
+    return pearson(predicted, measured) if np.isfinite(predicted).all() else float("nan")
 
 
 def overview(table: pd.DataFrame) -> pd.DataFrame:
@@ -63,7 +129,62 @@ def overview(table: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Index ``(measurement, predictor)``; columns ``mean, min, max, scenes``.
+        Index ``(measurement, predictor)``; columns ``mean, min, max, scenes``, and
+        ``worst_error``: the largest misprediction of any tree, as a share.
     """
-    groups = table.groupby(["measurement", "predictor"], sort=False)["pearson"]
-    return groups.agg(["mean", "min", "max", "count"]).rename(columns={"count": "scenes"})
+    groups = table.groupby(["measurement", "predictor"], sort=False)
+    found = groups["pearson"].agg(["mean", "min", "max", "count"])
+    found["worst_error"] = groups["worst_error"].max()
+    return found.rename(columns={"count": "scenes"})
+
+
+def relative_to(records: list[dict[str, Any]], name: str, base: str = "lbvh") -> pd.Series:
+    """Mean over the scenes of a metric, per builder, as a share of one builder's.
+
+    Parameters
+    ----------
+    records : list of dict
+    name : str
+        A metric, such as ``epo``.
+    base : str
+        The builder that is 1.
+
+    Returns
+    -------
+    Series
+        By builder; empty where no scene has the base builder.
+    """
+    rows = [
+        {t["builder"]: t[name] / b[name] for t in r["trees"]}
+        for r in records
+        for b in r["trees"]
+        if b["builder"] == base and b[name] > 0
+    ]
+    return pd.DataFrame(rows).mean() if rows else pd.Series(dtype=float)
+
+
+def calibrate(records: list[dict[str, Any]], measurement: str = "scalar_ns") -> dict[str, float]:
+    """Fit nanoseconds per inner node and per triangle test to all trees of all scenes.
+
+    Returns
+    -------
+    dict
+        ``ns_per_inner``, ``ns_per_test``, ``ns_per_ray`` (what a ray costs whatever it visits),
+        ``c_inner`` (the first over the second: the cost constant of this machine where
+        ``C_tri`` is 1), ``mean_error`` and ``worst_error`` (relative, of the fitted times), and
+        ``trees``.
+    """
+    x = np.concatenate([
+        np.stack([column(r, "inner_per_ray"), column(r, "triangles_per_ray"),
+                  np.ones(len(r["trees"]))], axis=1)
+        for r in records
+    ])  # fmt: skip
+    y = np.concatenate([column(r, measurement) for r in records])
+    weights, _ = optimize.nnls(x / y[:, None], np.ones(len(y)))  # relative errors count
+    error = np.abs(x @ weights / y - 1)
+    inner, test, ray = (float(w) for w in weights)
+    return {
+        "ns_per_inner": inner, "ns_per_test": test, "ns_per_ray": ray,
+        "c_inner": inner / test if test > 0 else float("nan"),
+        "mean_error": float(error.mean()), "worst_error": float(error.max()), "trees": len(y),
+    }  # fmt: skip

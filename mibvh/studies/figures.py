@@ -49,7 +49,9 @@ def svg(figure: Figure) -> str:
     figure.savefig(buffer, format="svg", metadata={"Date": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :].replace(_INK, "currentColor")
-    return re.sub(rf'id="{re.escape(_TIP)}([^"]*)"', r'class="point" tabindex="0" data-tip="\1"', text)
+    return re.sub(
+        rf'id="{re.escape(_TIP)}([^"]*)"', r'class="point" tabindex="0" data-tip="\1"', text
+    )
 
 
 def png(figure: Figure) -> bytes:
@@ -71,7 +73,7 @@ def predicted_measured(record: dict[str, Any], measurement: str) -> Figure:
     """
     measured = column(record, measurement)
     builders = [tree["builder"] for tree in record["trees"]]
-    both = predictors(record, measured)
+    both = predictors(record, measurement, float("nan"))
     second = "fitted" if np.isfinite(both["fitted"][0]) else "fixed 0.79"
     with style():
         figure = Figure(figsize=(7.2, 3.1), layout="constrained")
@@ -102,11 +104,13 @@ def _scatter(
     for tree, x, y in zip(record["trees"], values, measured, strict=True):
         name = tree["builder"]
         tip = (
-            f"{name}: {MEASUREMENTS[measurement]} {y:.4g}, predicted {x:.4g}, SAH {tree['sah']:.4g}, "
-            f"EPO {tree['epo']:.4g}, LCV {tree['lcv']:.3g}"
+            f"{name}: {MEASUREMENTS[measurement]} {y:.4g}, predicted {x:.4g}, "
+            f"SAH {tree['sah']:.4g}, EPO {tree['epo']:.4g}, LCV {tree['lcv']:.3g}"
         )
         colour = builder_colour(builders, name)
-        axis.scatter([x], [y], s=48, color=colour, gid=_TIP + tip, zorder=3, edgecolor="white", lw=0.5)
+        axis.scatter(
+            [x], [y], s=48, color=colour, gid=_TIP + tip, zorder=3, edgecolor="white", lw=0.5
+        )
     _label_points(axis, builders, values, measured)
     axis.margins(0.14)
 
@@ -161,8 +165,8 @@ def summary(table: Any) -> Figure:
                 jitter = np.linspace(-0.12, 0.12, len(of)) if len(of) > 1 else np.zeros(len(of))
                 for (_, row), dx in zip(of.iterrows(), jitter, strict=True):
                     tip = f"{row['scene']}: r = {row['pearson']:.4f}, {name}, {title}"
-                    axis.scatter([i + dx], [row["pearson"]], s=22, color=_COLOURS[i % len(_COLOURS)],
-                                 gid=_TIP + tip, alpha=0.85)  # fmt: skip
+                    colour = _COLOURS[i % len(_COLOURS)]
+                    axis.scatter([i + dx], [row["pearson"]], s=22, color=colour, gid=_TIP + tip)
                 if len(of):
                     axis.hlines(of["pearson"].mean(), i - 0.3, i + 0.3, color=_INK, lw=1.2)
             axis.set_xticks(range(len(names)), names, rotation=30, ha="right")

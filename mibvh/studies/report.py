@@ -11,7 +11,15 @@ import pandas as pd
 
 from mibvh.files import atomic_path, write_text
 from mibvh.studies import figures
-from mibvh.studies.analyse import MEASUREMENTS, column, correlations, overview
+from mibvh.studies.analyse import (
+    MEASUREMENTS,
+    PREDICTORS,
+    calibrate,
+    column,
+    correlations,
+    overview,
+    relative_to,
+)
 
 #: What the paper's slides give for Pearson's r over 22 scenes (mean, minimum, maximum).
 PAPER = {"SAH": (0.915, 0.652, 0.998), "fitted": (0.994, 0.988, 0.999),
@@ -72,6 +80,9 @@ def write_report(folder: Path, records: list[dict[str, Any]]) -> Path:
         scenes=[_scene(record, table, inline) for record in records],
         summary=inline["summary"],
         columns=COLUMNS,
+        predictors=PREDICTORS,
+        calibration={lanes: calibrate(records, f"{lanes}_ns") for lanes in ("scalar", "simd")},
+        relative=_relative(records),
         environment=records[-1]["environment"],
         options=records[-1]["options"],
     )
@@ -80,17 +91,44 @@ def write_report(folder: Path, records: list[dict[str, Any]]) -> Path:
     return target
 
 
+#: The slides' EPO per builder, relative to lbvh.
+PAPER_EPO = {
+    "agglo": 1.07,
+    "anneal": 0.81,
+    "treelet": 0.52,
+    "bbvh": 0.46,
+    "bittner": 0.45,
+    "lbvh": 1.0,
+}
+
+
+def _relative(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of the table of metrics relative to lbvh, mean over the scenes."""
+    names = ("sah", "epo", "lcv", "counted_cost", "scalar_ns", "simd_ns")
+    columns = [relative_to(records, name) for name in names]
+    return [
+        {
+            "builder": builder,
+            "values": [c.get(builder, float("nan")) for c in columns],
+            "paper": PAPER_EPO.get(builder),
+        }
+        for builder in columns[0].index
+    ]
+
+
 def _number(value: float, form: str = "{:.3f}") -> str:
     return form.format(value) if np.isfinite(value) else "–"
 
 
 def _overview_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
     rows = []
-    for (measurement, predictor), row in table.iterrows():  # type: ignore[misc]
+    for (measurement, predictor), row in table.iterrows():
         paper = PAPER.get(predictor) if measurement == "scalar_ns" else None
         rows.append({
             "measurement": MEASUREMENTS[measurement], "predictor": predictor,
             "values": [_number(row[c]) for c in ("mean", "min", "max")],
+            "worst": _number(row["worst_error"], "{:.0%}"),
+            "help": PREDICTORS[predictor],
             "scenes": int(row["scenes"]),
             "paper": [_number(v) for v in paper] if paper else ["", "", ""],
         })  # fmt: skip
@@ -106,7 +144,9 @@ def _scene(record: dict[str, Any], table: pd.DataFrame, inline: dict[str, str]) 
                 "text": form.format(tree[key]),
                 "sort": tree[key],
                 "best": key in best and tree[key] == best[key],
-                "error": f"±{tree[key.replace('_ns', '_error')]:.1%}" if key.endswith("_ns") else "",
+                "error": f"±{tree[key.replace('_ns', '_error')]:.1%}"
+                if key.endswith("_ns")
+                else "",
             }
             for key, _, form, _ in COLUMNS
         ]
@@ -128,8 +168,8 @@ def _scene(record: dict[str, Any], table: pd.DataFrame, inline: dict[str, str]) 
                 "measurement": MEASUREMENTS[row["measurement"]],
                 "predictor": row["predictor"],
                 "alpha": _number(row["alpha"], "{:.2f}"),
-                "values": [_number(row[c]) for c in ("pearson", "without_worst", "spearman",
-                                                     "kendall")],
+                "values": [_number(row[c]) for c in ("pearson", "low", "high", "held_out",
+                                                     "without_worst", "spearman", "kendall")],
                 "worst": _number(row["worst_error"], "{:.1%}"),
                 "trees": row["trees"],
             }

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class Timings:
 
 
 def measure(
-    launches: list[Callable[[], float]],
+    launches: Sequence[Callable[[], float]],
     *,
     seconds: float,
     standard_error: float,
@@ -65,7 +65,7 @@ def measure(
 
     Parameters
     ----------
-    launches : list of callable
+    launches : sequence of callable
         Each traces one tree once and returns its kernel time in seconds.
     seconds : float
         Time budget; at least seven rounds are measured whatever it is.

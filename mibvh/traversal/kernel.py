@@ -25,7 +25,15 @@ _OUTWARD = 1.0 + 2.0**-21
 
 @dr.syntax
 def walk(
-    records: Records, o: Any, d: Any, tmax: Any, active: Any, *, cull: bool, count: bool, any_hit: bool
+    records: Records,
+    o: Any,
+    d: Any,
+    tmax: Any,
+    active: Any,
+    *,
+    cull: bool,
+    count: bool,
+    any_hit: bool,
 ) -> tuple[Any, ...]:
     """Trace rays through a tree.
 
@@ -102,7 +110,9 @@ def walk(
                 inner += 1
                 fresh = mi.Bool(True)
         else:
-            tri = dr.gather(mi.ArrayXf, records.triangles, mi.UInt32(~node), shape=(TRIANGLE_ROW, n))
+            tri = dr.gather(
+                mi.ArrayXf, records.triangles, mi.UInt32(~node), shape=(TRIANGLE_ROW, n)
+            )
             # -- the three edges as seen along the ray; an edge's value in the one triangle is
             # exactly minus that in its neighbour, so that no ray slips between them
             ax, ay, az = tri[0] - o.x, tri[1] - o.y, tri[2] - o.z
@@ -159,8 +169,11 @@ def _triple(d: Any, ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> Any
 
 
 def _min(a: Any, b: Any) -> Any:
-    """Minimum by comparison: ``dr.minimum`` propagates NaN, which LLVM 15 cannot select on
-    AVX-512 machines and others do slowly."""
+    """Minimum by comparison.
+
+    ``dr.minimum`` propagates NaN, which LLVM 15 cannot select on AVX-512 machines and others do
+    slowly.
+    """
     return dr.select(a < b, a, b)
 
 

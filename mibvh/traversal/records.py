@@ -123,7 +123,9 @@ def make_records(tree: Tree, triangles: Any) -> Records:
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
     if tree.depth > MAX_DEPTH:
-        raise MibvhError(f"the tree is {tree.depth} levels deep; the traversal stack has {MAX_DEPTH}")
+        raise MibvhError(
+            f"the tree is {tree.depth} levels deep; the traversal stack has {MAX_DEPTH}"
+        )
     scale = unit_scale(triangles)
     lower, upper = tree.lower * scale, tree.upper * scale
     nodes, root = _node_rows(lower, upper, tree.left, tree.first)
@@ -141,8 +143,10 @@ def unit_scale(triangles: Triangles) -> np.float32:
 
 
 def own_memory(array: F32) -> Any:
-    """Copy into Dr.Jit's own memory: of NumPy's it does not know the alignment, and gathers from
-    it element by element."""
+    """Copy into Dr.Jit's own memory.
+
+    Of NumPy's it does not know the alignment, and gathers from it element by element.
+    """
     import drjit as dr
 
     mi = mitsuba()
