@@ -1,4 +1,4 @@
-"""Where the bundled scenes and plugins are: in a checkout, or inside an installed wheel."""
+"""Where the bundled scenes are: in a checkout, or inside an installed wheel."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mibvh.errors import MibvhError
 
 
 def folder(name: str) -> Path:
-    """Return the bundled folder ``scenes`` or ``plugins``."""
+    """Return a bundled folder, such as ``scenes``."""
     inside = Path(__file__).parent / "bundled" / name
     return inside if inside.is_dir() else Path(__file__).parent.parent / name
 
