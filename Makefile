@@ -5,9 +5,9 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 OUT    ?= out/study
-# The size that every bundled scene is generated at for `make study`.
-SIZE   ?= 20000
-SCENES ?= cornell livingroom hairball
+# What `make study` studies: bundled scenes (`mibvh scenes list`), each of about this many triangles.
+SIZE   ?= 10000
+SCENES ?= cornell livingroom hairball city_italian vegetation powerplant
 
 .PHONY: study test lint setup lock clean
 

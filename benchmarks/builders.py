@@ -69,8 +69,8 @@ def main() -> None:
         f"mibvh {__version__}, {cpu_model()}, {datetime.date.today().isoformat()}; "
         f"medians of {arguments.repeats}",
         "",
-        "| scene | triangles | builder | seconds, 1 thread | M triangles/s | all threads | speed-up "
-        "| SAH | references | depth | peak GB |",
+        "| scene | triangles | builder | seconds, 1 thread | M triangles/s | all threads "
+        "| speed-up | SAH | references | depth | peak GB |",
         "|---|---:|---|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for scene in arguments.scenes:

@@ -226,8 +226,8 @@ def _walk(
             item = position if cut_to_leaf else t
             found = _foreign(
                 row, siblings, low, high, starts[item], starts[item + 1], positions,
-                weights[t] * unit, polygons, limits, corner_count, areas, holder, stack, stack_level, box, left, first,
-                count, sums,
+                weights[t] * unit, polygons, limits, corner_count, areas, holder, stack,
+                stack_level, box, left, first, count, sums,
             )  # fmt: skip
             pairs, visits, clips = pairs + found[0], visits + found[1], clips + found[2]
     return pairs, visits, clips
