@@ -16,17 +16,20 @@ from mibvh.builders.rotations import box_area, depth_first
 from mibvh.builders.splitting import presplit
 from mibvh.builders.treelet import (
     _LANES,
-    RearrangeOptions,
+    TreeletOptions,
     _grow,
     _improve_all,
     _solve,
     nodes_above,
     rearrange,
+    start_over,
     subtree_costs,
+    without_joined,
 )
 from mibvh.errors import MibvhError
 
 CONTEXT = Context()
+NONE_SPLIT = np.zeros(0, np.int32)
 
 
 def all_trees(leaves):
@@ -67,7 +70,7 @@ def cheapest(*args):
 
 
 def options_of(**options):
-    return RearrangeOptions(**options)
+    return TreeletOptions(**options)
 
 
 def sah_of(draft, options):
@@ -83,15 +86,15 @@ def test_the_programme_finds_the_best_of_all_trees(size):
         box = np.concatenate([lower, lower + rng.random((size, 3, _LANES)) ** 3], axis=1)
         count = rng.integers(1, 5, (size, _LANES)).astype(np.float64)
         cost = count * rng.random((size, _LANES))
-        arrays = [np.zeros((1 << size, *part.shape[1:])) for part in (box, count, cost)]
+        arrays = [np.zeros((1 << size, *part.shape[1:])) for part in (box, count, count, cost)]
         arrays[0] = arrays[0].astype(np.float32)
-        for array, part in zip(arrays, (box, count, cost), strict=True):
+        for array, part in zip(arrays, (box, count, 0 * count, cost), strict=True):
             array[1 << np.arange(size)] = part
         _solve(size, c_inner, c_tri, max_leaf, *arrays)
         for lane in range(_LANES):
             treelet = box.astype(np.float32)[..., lane], count[:, lane], cost[:, lane]
             expected = cheapest(*treelet, c_inner, c_tri, max_leaf)
-            assert arrays[2][-1, lane] == pytest.approx(expected, rel=1e-12)
+            assert arrays[3][-1, lane] == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("max_leaf", [1, 2, 8])
@@ -150,7 +153,7 @@ def test_costs_boxes_and_counts_are_kept_up_to_date(max_leaf):
     before = cost[0]
     for least in (7, 14, 28):
         nodes, ends = nodes_above(0, least, left, right, count)
-        rebuilt = _improve_all(nodes, ends, 7, left, right, box, count, cost, *costs)
+        rebuilt = _improve_all(nodes, ends, 7, NONE_SPLIT, left, right, box, count, cost, *costs)
         assert rebuilt > 0
         assert cost[0] < before
         before = cost[0]
@@ -173,6 +176,7 @@ def test_a_better_tree_from_any_start(max_leaf):
         ("treelet", {"size": 4, "rounds": 1}),
         ("treelet", {"size": 8}),
         ("streelet", {}),
+        ("streelet", {"start": "bbvh", "beta": 1.0}),
         ("treelet", {"start": "streelet"}),
     ):
         tree = mibvh.build(triangles, name, max_leaf=max_leaf, **options)
@@ -216,8 +220,96 @@ def test_splitting_adds_what_beta_allows():
     for beta in (0.0, 0.3, 1.0):
         draft = entry.draft(triangles, entry.options(beta=beta), CONTEXT)
         assert draft.report["references"] == len(presplit(triangles, beta))
+        assert len(draft.references) + draft.report["joined"] == draft.report["references"]
         assert len(draft.references) <= (1 + beta) * len(triangles)
         assert (len(draft.references) > len(triangles)) == (beta > 0)
+
+
+def parts_of(references, owner):
+    """References that several share an owner of; no geometry behind them is needed."""
+    return References(references.lower, references.upper, np.asarray(owner, np.int32))
+
+
+def cheapest_with_parts(boxes, owner, c_inner, c_tri, max_leaf):
+    """Cost of the best of all trees whose leaves hold each triangle once."""
+
+    def cost(tree):
+        if not isinstance(tree, tuple):
+            return boxes[tree], {owner[tree]}, c_tri * area_of(boxes[tree])
+        (box_a, held_a, cost_a), (box_b, held_b, cost_b) = map(cost, tree)
+        box = np.concatenate([np.minimum(box_a, box_b)[:3], np.maximum(box_a, box_b)[3:]])
+        held, best = held_a | held_b, c_inner * area_of(box) + cost_a + cost_b
+        if len(held) <= max_leaf:
+            best = min(best, c_tri * area_of(box) * len(held))
+        return box, held, best
+
+    return min(cost(tree)[2] for tree in all_trees(list(range(len(boxes)))))
+
+
+def area_of(box):
+    x, y, z = box[3:].astype(np.float64) - box[:3]
+    return x * y + y * z + z * x
+
+
+@pytest.mark.parametrize("max_leaf", [1, 2, 8])
+@pytest.mark.parametrize("owner", [(0, 0, 1, 1, 2), (0, 1, 2, 0, 0, 1), (0, 0, 0, 0)])
+def test_leaves_hold_a_triangle_once_and_that_is_what_they_cost(owner, max_leaf):
+    costs = 1.2, 1.0, max_leaf
+    joined = 0
+    for seed in range(8):
+        refs = parts_of(References.of(soup(len(owner), seed, size=0.8)), owner)
+        boxes = np.concatenate([refs.lower, refs.upper], axis=1)
+        left, right, reference, count, box = depth_first(radix_draft(refs))
+        cost = subtree_costs(left, right, box, count, *costs)
+        owner_of = np.where(left < 0, refs.triangle[reference], -1)
+        root, end = np.zeros(1, np.int32), np.ones(1, np.int64)
+        _improve_all(root, end, len(owner), owner_of, left, right, box, count, cost, *costs)
+        least = cheapest_with_parts(boxes, owner, *costs)
+        assert cost[0] == pytest.approx(least, rel=1e-6)
+        result = without_joined(refs.scale, owner_of, left, right, box)
+        sah = draft_sah(result, c_inner=1.2, c_tri=1.0, max_leaf=max_leaf)
+        assert sah == pytest.approx(least / box_area(box, 0), rel=1e-6)
+        assert count[0] == len(result.references)
+        assert set(result.references.triangle) == set(owner)
+        joined += len(owner) - len(result.references)
+    assert joined > 0
+
+
+def test_joined_parts_keep_their_room():
+    """Of each triangle, the parts that are left cover what the parts before did."""
+    triangles = soup(900, seed=4, size=0.5)
+    before = presplit(triangles, 2.0)
+    after = rearrange(radix_draft(before), options_of(), CONTEXT).references
+    assert len(triangles) < len(after) < len(before)
+    for t in range(len(triangles)):
+        old, new = before.triangle == t, after.triangle == t
+        inside = (after.lower[new][:, None] <= before.lower[old]).all(axis=2)
+        inside &= (after.upper[new][:, None] >= before.upper[old]).all(axis=2)
+        assert inside.any(axis=0).all()
+
+
+def test_a_ground_of_two_triangles_costs_what_it_costs_unsplit():
+    """Around a small crowd, splitting a huge quad pays nothing; its parts must not linger."""
+    crowd = soup(3000, seed=2).corners
+    quad = np.array([[-50, 0, -50], [50, 0, -50], [50, 0, 50], [-50, 0, 50]], np.float32)
+    triangles = mibvh.Triangles(np.concatenate([crowd, quad[[[0, 1, 2], [0, 2, 3]]]]))
+    whole = mibvh.sah(mibvh.build(triangles, "treelet"))
+    split = mibvh.build(triangles, "streelet")
+    assert split.meta["report"]["joined"] > 0
+    assert mibvh.sah(split) < 1.1 * whole
+
+
+def test_the_start_over_parts_is_that_of_their_boxes():
+    triangles = soup(500, seed=6, size=0.5)
+    parts = presplit(triangles, 0.5)
+    entry = get("streelet")
+    draft = start_over(parts, entry.options(), CONTEXT)
+    expected = radix_draft(parts)
+    assert draft.references is parts
+    for key in ("left", "right", "reference"):
+        np.testing.assert_array_equal(getattr(draft, key), getattr(expected, key))
+    with pytest.raises(MibvhError, match="splits no triangles"):
+        start_over(parts, entry.options(start="sbvh"), CONTEXT)
 
 
 def test_a_start_as_deep_as_it_is_long():

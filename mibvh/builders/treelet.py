@@ -19,7 +19,14 @@ have settled. Disjoint subtrees are rearranged in parallel: what happens below a
 on nothing else, so the tree is the same on any number of threads.
 
 `streelet` is the same over the references that the triangle splitting of that paper makes
-(:mod:`mibvh.builders.splitting`).
+(:mod:`mibvh.builders.splitting`), and starts from the Morton tree over them unless told
+otherwise.
+
+A leaf of the finished tree holds a triangle once, however many of its parts are below. So
+T[s] counts triangles, not parts, and where a leaf forms, the parts of a triangle in it become
+one reference again. That is ours, not the paper's: its splitting spends the whole budget on
+any scene, and a ground plane around a furnished room is cut into a grid of hundreds of cells
+whose tree would otherwise stand above the room for good. For `treelet` it changes nothing.
 
 The method is covered by US patents 10331632 (treelets) and 9547932 (splitting).
 """
@@ -33,12 +40,12 @@ import numba
 import numpy as np
 
 from mibvh._jit import njit
-from mibvh.builders.draft import Draft
-from mibvh.builders.morton import radix_draft
+from mibvh.builders.draft import Draft, References
 from mibvh.builders.registry import Context, Options, builder, option
 from mibvh.builders.rotations import box_area, depth_first, judged
 from mibvh.builders.splitting import presplit
-from mibvh.triangles import Triangles
+from mibvh.errors import MibvhError
+from mibvh.triangles import F32, I32, Triangles
 
 #: References in the subtrees of one parallel step: well under a second of work, so that
 #: progress is shown and Ctrl-C heard.
@@ -71,6 +78,136 @@ def subtree_costs(left, right, box, count, c_inner, c_tri, max_leaf):
 
 
 @njit
+def _below(node, left, right, tips, tip, spare, free):
+    """Append the leaf nodes below a node, itself included, to ``tips``, the others to ``spare``.
+
+    Returns the new numbers of both. What has been appended to ``spare`` is the queue, too.
+    """
+    if left[node] < 0:
+        tips[tip] = node
+        return tip + 1, free
+    at = free
+    spare[free], free = node, free + 1
+    while at < free:
+        for child in (left[spare[at]], right[spare[at]]):
+            if left[child] < 0:
+                tips[tip], tip = child, tip + 1
+            else:
+                spare[free], free = child, free + 1
+        at += 1
+    return tip, free
+
+
+@njit
+def _first_of_each(tips, tip, owner):
+    """Move the first leaf node of each triangle to the front, and return how many there are."""
+    kept = 0
+    for i in range(tip):
+        j = 0
+        while j < kept and owner[tips[j]] != owner[tips[i]]:
+            j += 1
+        if j == kept:
+            tips[kept], tips[i] = tips[i], tips[kept]
+            kept += 1
+    return kept
+
+
+@njit
+def _join_parts(node, tips, tip, spare, owner, left, right, box, count, cost, costs):
+    """Make the leaf nodes ``tips`` the subtree of ``node``, with one leaf for each triangle.
+
+    Boxes of a triangle's parts are united. The other nodes the subtree needs are taken from
+    ``spare``; those that are left over belong to the tree no more.
+    """
+    kept = _first_of_each(tips, tip, owner)
+    for i in range(kept, tip):
+        j = 0
+        while owner[tips[j]] != owner[tips[i]]:
+            j += 1
+        for k in range(3):
+            box[tips[j], k] = min(box[tips[j], k], box[tips[i], k])
+            box[tips[j], k + 3] = max(box[tips[j], k + 3], box[tips[i], k + 3])
+    for j in range(kept):
+        cost[tips[j]] = _node_cost(tips[j], left, right, box, count, cost, *costs)
+    if kept == 1:
+        for k in range(6):
+            box[node, k] = box[tips[0], k]
+        left[node], right[node], owner[node] = -1, -1, owner[tips[0]]
+        count[node], cost[node] = 1, cost[tips[0]]
+        return
+    last = tips[kept - 1]
+    for j in range(kept - 2, -1, -1):
+        # They will be one leaf of the tree, so a chain is as good as anything.
+        parent = node if j == 0 else spare[j - 1]
+        left[parent], right[parent] = tips[j], last
+        _refit(parent, left, right, box, count, cost, costs)
+        last = parent
+
+
+@njit
+def _refit(node, left, right, box, count, cost, costs):
+    """Compute box, references and cost of a node from its children."""
+    a, b = left[node], right[node]
+    for k in range(3):
+        box[node, k] = min(box[a, k], box[b, k])
+        box[node, k + 3] = max(box[a, k + 3], box[b, k + 3])
+    count[node] = count[a] + count[b]
+    cost[node] = _node_cost(node, left, right, box, count, cost, *costs)
+
+
+@njit
+def join_small(owner, left, right, box, count, cost, c_inner, c_tri, max_leaf):
+    """Join a triangle's parts in every subtree that is cheapest as one leaf.
+
+    What :func:`subtree_costs` does where triangles are split; fills ``cost``.
+    """
+    tips = np.empty(2 * max_leaf, np.int32)
+    spare = np.empty(2 * max_leaf, np.int32)
+    costs = (c_inner, c_tri, max_leaf)
+    for node in range(len(left) - 1, -1, -1):
+        if left[node] < 0:
+            cost[node] = _node_cost(node, left, right, box, count, cost, *costs)
+            continue
+        _refit(node, left, right, box, count, cost, costs)
+        if count[left[node]] > max_leaf or count[right[node]] > max_leaf:
+            continue
+        tip, _ = _below(node, left, right, tips, 0, spare, 0)
+        kept = _first_of_each(tips, tip, owner)
+        leaf = c_tri * box_area(box, node) * kept
+        if kept < tip and kept <= max_leaf and leaf <= cost[node]:
+            _join_parts(node, tips, tip, spare[1:], owner, left, right, box, count, cost, costs)
+
+
+@njit
+def _find_repeats(size, lane, leaves, owner, left, right, count, max_leaf, work, s_again):
+    """Count, for every subset of a treelet's leaves, the references it could do without."""
+    tips, spare, keys = work
+    s_again[:, lane] = 0.0
+    used = 0
+    for i in range(size):
+        # A larger subtree is not in any leaf.
+        if count[leaves[i, lane]] <= max_leaf:
+            tip, _ = _below(leaves[i, lane], left, right, tips, 0, spare, 0)
+            for j in range(tip):
+                keys[used] = np.int64(owner[tips[j]]) << 3 | i
+                used += 1
+    keys[:used].sort()
+    begin = 0
+    while begin < used:
+        end = begin + 1
+        while end < used and keys[end] >> 3 == keys[begin] >> 3:
+            end += 1
+        if end - begin > 1:
+            for s in range(1, 1 << size):
+                held = 0
+                for j in range(begin, end):
+                    held += (s >> (keys[j] & 7)) & 1
+                if held > 1:
+                    s_again[s, lane] += held - 1
+        begin = end
+
+
+@njit
 def _grow(root, size, lane, left, right, box, leaves, inner):
     """Grow a treelet: open the leaf of largest area until there are ``size`` leaves.
 
@@ -92,7 +229,7 @@ def _grow(root, size, lane, left, right, box, leaves, inner):
 
 
 @njit
-def _solve(size, c_inner, c_tri, max_leaf, s_box, s_count, s_cost):
+def _solve(size, c_inner, c_tri, max_leaf, s_box, s_count, s_again, s_cost):
     """Run the dynamic programme, for eight treelets side by side.
 
     Parameters
@@ -104,8 +241,10 @@ def _solve(size, c_inner, c_tri, max_leaf, s_box, s_count, s_cost):
     s_box : (2**n, 6, 8) float32
         Box of every subset of the leaves; a subset is a bit mask.
     s_count, s_cost : (2**n, 8) float64
-        Its triangles, and its least cost. All three hold the single leaves already, and
-        this fills in the rest.
+        Its references, and its least cost. Like the boxes, they hold the single leaves
+        already, and this fills in the rest.
+    s_again : (2**n, 8) float64
+        How many of its references are further ones of a triangle it holds already.
     """
     # Unsigned indices, as Numba spends time on negative ones; and a last axis of fixed
     # length, over which the inner loops become vector instructions.
@@ -143,13 +282,19 @@ def _solve(size, c_inner, c_tri, max_leaf, s_box, s_count, s_cost):
             z = np.float64(s_box[s, 5, i]) - np.float64(s_box[s, 2, i])
             area = x * y + (x + y) * z
             inner = c_inner * area + s_cost[s, i]
-            leaf = c_tri * area * s_count[s, i]
-            s_cost[s, i] = leaf if s_count[s, i] <= max_leaf and leaf <= inner else inner
+            distinct = s_count[s, i] - s_again[s, i]
+            leaf = c_tri * area * distinct
+            s_cost[s, i] = leaf if distinct <= max_leaf and leaf <= inner else inner
 
 
 @njit
-def _rebuild(size, lane, leaves, inner, left, right, box, count, cost, s_box, s_count, s_cost):
-    """Write the best tree of a treelet into its own inner nodes; the root stays the root."""
+def _rebuild(size, lane, leaves, inner, owner, left, right, box, count, cost, costs, work, subsets):
+    """Write the best tree of a treelet into its own inner nodes; the root stays the root.
+
+    Where a leaf holds several parts of a triangle, they become one.
+    """
+    tips, spare, _ = work
+    s_box, s_count, s_again, s_cost = subsets
     slot = np.empty(8, np.int32)
     subset = np.empty(8, np.int32)
     slot[0], subset[0], top = 0, (1 << size) - 1, 1
@@ -161,6 +306,20 @@ def _rebuild(size, lane, leaves, inner, left, right, box, count, cost, s_box, s_
             box[node, k] = s_box[s, k, lane]
         count[node] = np.int32(s_count[s, lane])
         cost[node] = s_cost[s, lane]
+        if s_again[s, lane] > 0.0:
+            distinct = s_count[s, lane] - s_again[s, lane]
+            leaf = costs[1] * box_area(box, node) * distinct
+            if distinct <= costs[2] and leaf <= s_cost[s, lane]:
+                tip, free, members = 0, 0, 0
+                for i in range(size):
+                    if s >> i & 1:
+                        tip, free = _below(leaves[i, lane], left, right, tips, tip, spare, free)
+                        members += 1
+                for _ in range(members - 2):
+                    spare[free] = inner[used, lane]
+                    used, free = used + 1, free + 1
+                _join_parts(node, tips, tip, spare, owner, left, right, box, count, cost, costs)
+                continue
         # Which partition was the best is not kept for all the subsets: it is needed for the
         # few that become nodes only.
         rest = s & (s - 1)
@@ -186,49 +345,72 @@ def _rebuild(size, lane, leaves, inner, left, right, box, count, cost, s_box, s_
                 right[node] = child
             else:
                 left[node] = child
+    # Joining parts leaves fewer references; children stand behind their parents in `inner`.
+    for i in range(used - 1 if len(owner) else -1, -1, -1):
+        node = inner[i, lane]
+        if left[node] >= 0:
+            count[node] = count[left[node]] + count[right[node]]
 
 
 @njit
-def _improve(nodes, size, left, right, box, count, cost, c_inner, c_tri, max_leaf):
+def _improve(nodes, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf):
     """Rearrange the treelets rooted in ``nodes``; none may stand below another one.
 
     Their descendants' costs must be up to date. Returns how many were rebuilt.
     """
     leaves = np.zeros((8, _LANES), np.int32)
     inner = np.zeros((8, _LANES), np.int32)
+    roots = np.zeros(_LANES, np.int32)
     s_box = np.zeros((1 << size, 6, _LANES), np.float32)
     s_count = np.zeros((1 << size, _LANES), np.float64)
+    s_again = np.zeros((1 << size, _LANES), np.float64)
     s_cost = np.zeros((1 << size, _LANES), np.float64)
-    rebuilt = 0
-    for first in range(0, len(nodes), _LANES):
-        used = min(_LANES, len(nodes) - first)
-        for lane in range(used):
-            _grow(nodes[first + lane], size, lane, left, right, box, leaves, inner)
+    subsets = (s_box, s_count, s_again, s_cost)
+    split = len(owner) > 0
+    room = 8 * (max_leaf + 1) if split else 0
+    work = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int64)
+    costs = (c_inner, c_tri, max_leaf)
+    rebuilt, begin = 0, 0
+    while begin < len(nodes):
+        used = 0
+        while used < _LANES and begin < len(nodes):
+            root = nodes[begin]
+            begin += 1
+            # Parts may have been joined below.
+            count[root] = count[left[root]] + count[right[root]]
+            cost[root] = _node_cost(root, left, right, box, count, cost, *costs)
+            if count[root] < size:
+                continue
+            roots[used] = root
+            _grow(root, size, used, left, right, box, leaves, inner)
             for i in range(size):
-                leaf = leaves[i, lane]
+                leaf = leaves[i, used]
                 for k in range(6):
-                    s_box[1 << i, k, lane] = box[leaf, k]
-                s_count[1 << i, lane] = count[leaf]
-                s_cost[1 << i, lane] = cost[leaf]
-        _solve(size, c_inner, c_tri, max_leaf, s_box, s_count, s_cost)
+                    s_box[1 << i, k, used] = box[leaf, k]
+                s_count[1 << i, used] = count[leaf]
+                s_cost[1 << i, used] = cost[leaf]
+            if split:
+                _find_repeats(
+                    size, used, leaves, owner, left, right, count, max_leaf, work, s_again
+                )
+            used += 1
+        _solve(size, c_inner, c_tri, max_leaf, *subsets)
         for lane in range(used):
-            root = nodes[first + lane]
-            now = _node_cost(root, left, right, box, count, cost, c_inner, c_tri, max_leaf)
-            cost[root] = now
-            if s_cost[(1 << size) - 1, lane] < now:
+            if s_cost[(1 << size) - 1, lane] < cost[roots[lane]]:
                 _rebuild(
                     size,
                     lane,
                     leaves,
                     inner,
+                    owner,
                     left,
                     right,
                     box,
                     count,
                     cost,
-                    s_box,
-                    s_count,
-                    s_cost,
+                    costs,
+                    work,
+                    subsets,
                 )
                 rebuilt += 1
     return rebuilt
@@ -267,38 +449,72 @@ def nodes_above(root, least, left, right, count):
 
 
 @njit
-def _improve_all(nodes, ends, size, left, right, box, count, cost, c_inner, c_tri, max_leaf):
+def _improve_all(nodes, ends, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf):
     """Rearrange the treelets rooted in nodes ordered by height. Returns how many were rebuilt."""
     rebuilt, begin = 0, 0
     for end in ends:
         rebuilt += _improve(
-            nodes[begin:end], size, left, right, box, count, cost, c_inner, c_tri, max_leaf
+            nodes[begin:end], size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf
         )
         begin = end
     return rebuilt
 
 
 @njit(parallel=True)
-def _improve_subtrees(roots, least, size, left, right, box, count, cost, c_inner, c_tri, max_leaf):
+def _improve_subtrees(
+    roots, least, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf
+):
     """Rearrange disjoint subtrees in parallel. Returns treelets looked at and rebuilt."""
     done = np.zeros((len(roots), 2), np.int64)
     for i in numba.prange(len(roots)):
         nodes, ends = nodes_above(roots[i], least, left, right, count)
         done[i, 0] = len(nodes)
         done[i, 1] = _improve_all(
-            nodes, ends, size, left, right, box, count, cost, c_inner, c_tri, max_leaf
+            nodes, ends, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf
         )
     return done.sum(axis=0)
 
 
-def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draft:
+@njit
+def _reached(left, right):
+    """(2R - 1,) bool: whether a node still belongs to the tree."""
+    reached = np.zeros(len(left), np.bool_)
+    stack = np.empty(len(left) // 2 + 1, np.int32)
+    stack[0], top = 0, 1
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        reached[node] = True
+        if left[node] >= 0:
+            stack[top], stack[top + 1] = left[node], right[node]
+            top += 2
+    return reached
+
+
+def without_joined(scale: float, owner: I32, left: I32, right: I32, box: F32) -> Draft:
+    """Make the draft whose references are the leaves that are left."""
+    reached = _reached(left, right)
+    name = np.cumsum(reached, dtype=np.int32) - np.int32(1)
+    leaf = left[reached] < 0
+    left, right, box = (array[reached] for array in (left, right, box))
+    boxes = np.ascontiguousarray(box[leaf])
+    references = References(boxes[:, :3].copy(), boxes[:, 3:].copy(), owner[reached][leaf], scale)
+    return Draft(
+        references,
+        np.where(leaf, -1, name[left]),
+        np.where(leaf, -1, name[right]),
+        np.where(leaf, np.cumsum(leaf) - 1, -1).astype(np.int32),
+    )
+
+
+def rearrange(draft: Draft, options: TreeletOptions, context: Context) -> Draft:
     """Rearrange the treelets of a draft, round by round.
 
     Parameters
     ----------
     draft : Draft
         The start tree.
-    options : RearrangeOptions
+    options : TreeletOptions
         The treelets' size, the rounds, the costs.
     context : Context
         Told of the progress.
@@ -312,10 +528,15 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
     costs = (options.c_inner, options.c_tri, options.max_leaf)
     left, right, reference, count, box = depth_first(draft)
     cost = subtree_costs(left, right, box, count, *costs)
+    triangle = draft.references.triangle
+    owner = np.zeros(0, np.int32)
+    if options.rounds and len(np.unique(triangle)) < len(triangle):
+        owner = np.where(left < 0, triangle[reference], -1)
+        join_small(owner, left, right, box, count, cost, *costs)
     # A scene of fewer triangles is a smaller treelet.
-    size = min(options.size, len(draft.references))
+    size = min(options.size, int(count[0]))
     rounds = options.rounds if size > 2 else 0
-    arrays = (size, left, right, box, count, cost, *costs)
+    arrays = (size, owner, left, right, box, count, cost, *costs)
     # Subtrees of at most `limit` references are the units of parallel work; the few nodes
     # above them follow. The limit depends on the scene alone, as the outcome must.
     limit = max(256, len(draft.references) // 256)
@@ -337,29 +558,25 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
             rebuilt += _improve_all(top[begin:], ends - begin, *arrays)
             begin = ends[-1] if len(ends) else begin
         looked += len(top)
-    result = Draft(draft.references, left, right, reference)
-    # Where a leaf holds a split triangle twice, the programme's cost is an upper bound only.
+    if len(owner):
+        result = without_joined(draft.references.scale, owner, left, right, box)
+    else:
+        result = Draft(draft.references, left, right, reference)
     report = {"iterations": rounds, "treelets": looked, "rebuilt": rebuilt}
     return judged(draft, result, options, report)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class RearrangeOptions(Options):
-    """What `treelet` and `streelet` have in common."""
+class TreeletOptions(Options):
+    """What `treelet` takes."""
 
     size: int = option(7, "leaves of a treelet; one more triples the time", 4, 8)
     rounds: int = option(3, "passes over the tree; later ones leave small subtrees out", 0, 24)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class TreeletOptions(RearrangeOptions):
-    """What `treelet` takes."""
-
     start: str = option("lbvh", "builder of the tree to start from")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SplitTreeletOptions(RearrangeOptions):
+class SplitTreeletOptions(TreeletOptions):
     """What `streelet` takes."""
 
     beta: float = option(
@@ -381,6 +598,22 @@ def treelet(triangles: Triangles, options: TreeletOptions, context: Context) -> 
     return draft
 
 
+def start_over(references: References, options: TreeletOptions, context: Context) -> Draft:
+    """Build the start tree over given references.
+
+    The start builder sees each reference as a triangle that fills its box corner to corner;
+    builders that split none look at nothing but boxes.
+    """
+    corners = np.stack([references.lower, references.upper, references.lower], axis=1)
+    boxes = Triangles(corners, "parts of triangles")
+    draft = context.start(boxes, options.start, options)
+    part = draft.references.triangle
+    if len(part) != len(references):
+        raise MibvhError(f"start must be a builder that splits no triangles, not {options.start}")
+    reference = np.where(draft.left < 0, part[draft.reference], np.int32(-1))
+    return Draft(references, draft.left, draft.right, reference)
+
+
 @builder(
     "streelet",
     summary="triangle splitting, a Morton tree over the parts, then `treelet`",
@@ -388,10 +621,12 @@ def treelet(triangles: Triangles, options: TreeletOptions, context: Context) -> 
     options=SplitTreeletOptions,
 )
 def streelet(triangles: Triangles, options: SplitTreeletOptions, context: Context) -> Draft:
-    """Split triangles up front, and rearrange the treelets of the Morton tree over the parts."""
+    """Split triangles up front, and rearrange the treelets of a start tree over the parts."""
     context.progress("splitting", 0.0)
     references = presplit(triangles, options.beta)
     context.progress("splitting", 1.0)
-    draft = rearrange(radix_draft(references), options, context)
+    draft = rearrange(start_over(references, options, context), options, context)
+    draft.report["start"] = options.start
     draft.report["references"] = len(references)
+    draft.report["joined"] = len(references) - len(draft.references)
     return draft
