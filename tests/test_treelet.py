@@ -16,7 +16,7 @@ from mibvh.builders.rotations import box_area, depth_first
 from mibvh.builders.splitting import presplit
 from mibvh.builders.treelet import (
     _LANES,
-    TreeletOptions,
+    RearrangeOptions,
     _grow,
     _improve_all,
     _solve,
@@ -70,7 +70,7 @@ def cheapest(*args):
 
 
 def options_of(**options):
-    return TreeletOptions(**options)
+    return RearrangeOptions(**options)
 
 
 def sah_of(draft, options):
@@ -176,7 +176,7 @@ def test_a_better_tree_from_any_start(max_leaf):
         ("treelet", {"size": 4, "rounds": 1}),
         ("treelet", {"size": 8}),
         ("streelet", {}),
-        ("streelet", {"start": "bbvh", "beta": 1.0}),
+        ("streelet", {"base": "bbvh", "beta": 1.0}),
         ("treelet", {"start": "streelet"}),
     ):
         tree = mibvh.build(triangles, name, max_leaf=max_leaf, **options)
@@ -309,7 +309,7 @@ def test_the_start_over_parts_is_that_of_their_boxes():
     for key in ("left", "right", "reference"):
         np.testing.assert_array_equal(getattr(draft, key), getattr(expected, key))
     with pytest.raises(MibvhError, match="splits no triangles"):
-        start_over(parts, entry.options(start="sbvh"), CONTEXT)
+        start_over(parts, entry.options(base="sbvh"), CONTEXT)
 
 
 def test_a_start_as_deep_as_it_is_long():

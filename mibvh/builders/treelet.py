@@ -507,14 +507,14 @@ def without_joined(scale: float, owner: I32, left: I32, right: I32, box: F32) ->
     )
 
 
-def rearrange(draft: Draft, options: TreeletOptions, context: Context) -> Draft:
+def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draft:
     """Rearrange the treelets of a draft, round by round.
 
     Parameters
     ----------
     draft : Draft
         The start tree.
-    options : TreeletOptions
+    options : RearrangeOptions
         The treelets' size, the rounds, the costs.
     context : Context
         Told of the progress.
@@ -567,21 +567,28 @@ def rearrange(draft: Draft, options: TreeletOptions, context: Context) -> Draft:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TreeletOptions(Options):
-    """What `treelet` takes."""
+class RearrangeOptions(Options):
+    """What `treelet` and `streelet` have in common."""
 
     size: int = option(7, "leaves of a treelet; one more triples the time", 4, 8)
     rounds: int = option(3, "passes over the tree; later ones leave small subtrees out", 0, 24)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TreeletOptions(RearrangeOptions):
+    """What `treelet` takes."""
+
     start: str = option("lbvh", "builder of the tree to start from")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SplitTreeletOptions(TreeletOptions):
+class SplitTreeletOptions(RearrangeOptions):
     """What `streelet` takes."""
 
     beta: float = option(
         0.3, "references that splitting may add, per triangle; more overlap less", 0.0, 8.0
     )
+    base: str = option("lbvh", "builder of the tree over the parts; bbvh is slower and better")
 
 
 @builder(
@@ -598,7 +605,7 @@ def treelet(triangles: Triangles, options: TreeletOptions, context: Context) -> 
     return draft
 
 
-def start_over(references: References, options: TreeletOptions, context: Context) -> Draft:
+def start_over(references: References, options: SplitTreeletOptions, context: Context) -> Draft:
     """Build the start tree over given references.
 
     The start builder sees each reference as a triangle that fills its box corner to corner;
@@ -606,10 +613,10 @@ def start_over(references: References, options: TreeletOptions, context: Context
     """
     corners = np.stack([references.lower, references.upper, references.lower], axis=1)
     boxes = Triangles(corners, "parts of triangles")
-    draft = context.start(boxes, options.start, options)
+    draft = context.start(boxes, options.base, options)
     part = draft.references.triangle
     if len(part) != len(references):
-        raise MibvhError(f"start must be a builder that splits no triangles, not {options.start}")
+        raise MibvhError(f"base must be a builder that splits no triangles, not {options.base}")
     reference = np.where(draft.left < 0, part[draft.reference], np.int32(-1))
     return Draft(references, draft.left, draft.right, reference)
 
@@ -626,7 +633,7 @@ def streelet(triangles: Triangles, options: SplitTreeletOptions, context: Contex
     references = presplit(triangles, options.beta)
     context.progress("splitting", 1.0)
     draft = rearrange(start_over(references, options, context), options, context)
-    draft.report["start"] = options.start
+    draft.report["base"] = options.base
     draft.report["references"] = len(references)
     draft.report["joined"] = len(references) - len(draft.references)
     return draft
