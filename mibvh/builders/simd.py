@@ -15,6 +15,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic, models, register_model
 
 _FLOAT = ir.FloatType()
@@ -124,6 +125,25 @@ def store_corners(typing: Any, lower: Any, upper: Any, row: Any, box: Any, facto
 
 
 @intrinsic
+def load_point(typing: Any, points: Any, row: Any, factor: Any) -> Any:
+    """Return a row of 3 floats of either width, times a float64 ``factor``, as a point."""
+
+    def generate(context, build, signature, values):
+        pointer = _row(context, build, signature.args[0], values[0], values[1], 3)
+        result = ir.Constant(_VECTOR, [0.0] * 8)
+        for k in range(3):
+            value = build.load(build.gep(pointer, [_constant(k)]))
+            if value.type == _FLOAT:
+                value = build.fpext(value, ir.DoubleType())
+            value = build.fptrunc(build.fmul(value, values[2]), _FLOAT)
+            result = build.insert_element(result, value, _constant(k))
+            result = build.insert_element(result, build.fneg(value), _constant(4 + k))
+        return result
+
+    return _box(points, types.intp, types.float64), generate
+
+
+@intrinsic
 def nothing(typing: Any) -> Any:
     """Return the box that adds nothing to a union."""
 
@@ -141,6 +161,29 @@ def union(typing: Any, a: Any, b: Any) -> Any:
         return build.select(build.fcmp_ordered("<", *values), *values)
 
     return _box(a, b), generate
+
+
+@intrinsic
+def widen(typing: Any, array: Any, row: Any, box: Any) -> Any:
+    """Widen the box in a row to hold another.
+
+    As a store of a selection this would become a masked store, for which the next load of
+    the row has to wait; the minimum that knows no NaN stays one instruction.
+    """
+
+    def generate(context, build, signature, values):
+        pointer = build.bitcast(
+            _row(context, build, signature.args[0], values[0], values[1], 8), _VECTOR.as_pointer()
+        )
+        old = build.load(pointer)
+        old.align = 4
+        kind = ir.FunctionType(_VECTOR, [_VECTOR, _VECTOR])
+        minimum = cgutils.get_or_insert_function(build.module, kind, "llvm.minnum.v8f32")
+        new = build.call(minimum, [old, values[2]], fastmath=("nnan",))
+        build.store(new, pointer, align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, box), generate
 
 
 @intrinsic

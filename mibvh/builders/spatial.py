@@ -11,9 +11,10 @@ Stages
 2. At each node, find the best object split (:func:`_sweep`): the full sweep of `bbvh`, with
    its ties, over the *references'* boxes.
 3. Where the children it would make overlap by ``alpha`` of the root's area, look for a
-   spatial split as well (:func:`_sweep_planes`): references are chopped exactly at the planes
-   between the bins of each axis (:func:`_enter_all`), and every plane has the cost
-   ``A_left N_left + A_right N_right``, N by counting where references begin and end.
+   spatial split as well (:func:`_sweep_planes`): every plane between the bins of each axis
+   has the cost ``A_left N_left + A_right N_right``, N by counting where references begin and
+   end. Corners alone (:func:`_enter_all`) bound that cost from below; where a plane may pay,
+   references are chopped exactly at the planes (:func:`_chop_all`).
 4. If a plane is cheaper, cut the references across it (:func:`_spatial_split`). Each of them
    may yet go whole to one side, if that is the cheapest of the three (*unsplitting*). If one
    side stays empty, or the cost after all is above that of the object split, the object
@@ -46,7 +47,7 @@ from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References, centers_twice
 from mibvh.builders.radix import argsort_keys, float_keys
 from mibvh.builders.registry import Context, Options, builder, option
-from mibvh.builders.simd import between, half_area, load, nothing, store, union
+from mibvh.builders.simd import between, half_area, load, load_point, nothing, store, union, widen
 from mibvh.builders.splitting import MAX_CORNERS, clip_to_box, pack_boxes, split_reference
 from mibvh.triangles import Triangles
 
@@ -165,41 +166,48 @@ def _overlap(halves):
 
 
 @njit
-def _enter_section(points, size, axis, first, last, origin, width, base, bin_box, bin_cut):
-    """Enter a polygon that lies in bins ``first`` to ``last`` of an axis, chopped.
+def _bin_of(x, origin, inverse, first, last):
+    """Bin of a coordinate, of those that a reference is in."""
+    return min(max(np.int64((x - origin) * inverse), first), last)
 
-    What is on one side of a plane is bounded by the corners there and the points at which
-    edges cross the plane, so corners go to their bins and crossings to their planes.
-    """
-    inverse = np.float32(1) / width
+
+@njit
+def _enter_corners(points, size, axis, first, last, origin, inverse, base, bin_box):
+    """Enter the corners of a polygon that lies in bins ``first`` to ``last`` of an axis."""
     for i in range(size):
-        j = i + 1 if i + 1 < size else 0
-        low, high = i, j
-        if points[i, axis] > points[j, axis]:
-            low, high = j, i
-        x0, x1 = points[low, axis], points[high, axis]
-        a = min(max(int((x0 - origin) * inverse), first), last)
-        b = min(max(int((x1 - origin) * inverse), first), last)
-        own = base + (a if low == i else b)
-        store(bin_box, own, union(load(bin_box, own), load(points, i)))
-        if a == b:
-            continue
-        p, q = load(points, low), load(points, high)
-        per = np.float32(1) / (x1 - x0)
-        for e in range(a + 1, b + 1):
-            share = (origin + np.float32(e) * width - x0) * per
-            share = min(max(share, np.float32(0)), np.float32(1))
-            store(bin_cut, base + e, union(load(bin_cut, base + e), between(p, q, share)))
+        e = base + _bin_of(points[i, axis], origin, inverse, first, last)
+        widen(bin_box, e, load(points, i))
+
+
+@njit
+def _enter_crossings(points, size, axis, first, last, origin, inverse, width, base, bin_cut):
+    """Enter the points at which a polygon's edges cross the planes between its bins."""
+    p = load(points, size - 1)
+    x0 = points[size - 1, axis]
+    a = _bin_of(x0, origin, inverse, first, last)
+    for i in range(size):
+        q = load(points, i)
+        x1 = points[i, axis]
+        b = _bin_of(x1, origin, inverse, first, last)
+        if a != b:
+            # From the lower end, so that triangles with a common edge are cut at one point.
+            low, x, low_bin, high_bin = (p, x0, a, b) if a < b else (q, x1, b, a)
+            high = q if a < b else p
+            per = np.float32(1) / abs(x1 - x0)
+            for e in range(base + low_bin + 1, base + high_bin + 1):
+                share = (origin + np.float32(e - base) * width - x) * per
+                share = min(max(share, np.float32(0)), np.float32(1))
+                widen(bin_cut, e, between(low, high, share))
+        p, x0, a = q, x1, b
 
 
 @njit
 def _whole_triangle(corners, t, scale, points):
     """Write a triangle's corners, in builder units, as boxes."""
-    for i in range(3):
-        for k in range(3):
-            value = np.float32(np.float64(corners[t, i, k]) * scale)
-            points[i, k] = value
-            points[i, k + 4] = -value
+    # Stored whole: a vector load of what was just stored in pieces has to wait.
+    store(points, 0, load_point(corners, 3 * t, scale))
+    store(points, 1, load_point(corners, 3 * t + 1, scale))
+    store(points, 2, load_point(corners, 3 * t + 2, scale))
 
 
 @njit
@@ -207,56 +215,109 @@ def _clipped_triangle(corners, t, scale, box, r, polygon, spare, points):
     """Write the corners of a triangle's part inside a box, as boxes; return their number."""
     size = clip_to_box(corners, t, scale, box, r, polygon, spare)
     for i in range(size):
-        for k in range(3):
-            value = np.float32(polygon[i, k])
-            points[i, k] = value
-            points[i, k + 4] = -value
+        store(points, i, load_point(polygon, i, 1.0))
     return size
 
 
 @njit
-def _enter_all(work, begin, n, count, origin, extent, bins):
-    """Enter a node's references into ``count`` bins on each axis."""
-    # Taken out once: a tuple of arrays is dear to hand to a function for each reference.
-    corners, scale, box, triangle = work.corners, work.scale, work.box, work.triangle
-    is_split, order = work.is_split, work.orders[0]
-    bin_box, bin_cut, begins, ends = bins.box, bins.cut, bins.begins, bins.ends
-    polygon, spare, points = bins.polygon, bins.spare, bins.points
-    most = len(bins.area)
+def _bins_of_box(box, r, axis, origin, inverse, last):
+    """First and last bin that a box reaches into, of those up to ``last``."""
+    start = np.int64((box[r, axis] - origin) * inverse)
+    end = (-box[r, axis + 4] - origin) * inverse
+    stop = np.int64(end)
+    stop -= np.float32(stop) == end  # a box that ends at a plane is not in the bin behind
+    start = min(max(start, 0), last)
+    return start, min(max(stop, start), last)
+
+
+@njit
+def _enter_all(
+    corners, scale, box, triangle, is_split, order, begin, n, count, origin, extent,
+    bin_box, bin_cut, begins, ends, most, polygon, spare, points,
+):  # fmt: skip
+    """Enter a node's references into ``count`` bins on each axis, those across planes by corners.
+
+    All arrays by themselves: a tuple of arrays is dear to hand on for each reference.
+    """
     for k in range(3):
         for e in range(k * most, k * most + count):
             store(bin_box, e, nothing())
             store(bin_cut, e, nothing())
             begins[e] = 0
             ends[e] = 0
+    bins, end = np.float32(count), count - 1
+    x, y, z = origin
+    # On an axis of no extent, all is in the first bin.
+    px = bins / extent[0] if extent[0] > 0 else np.float32(0)
+    py = bins / extent[1] if extent[1] > 0 else np.float32(0)
+    pz = bins / extent[2] if extent[2] > 0 else np.float32(0)
+    on_y, on_z = most, 2 * most
     for i in range(begin, begin + n):
         r = order[i]
-        size = 0
-        for k in range(3):
-            first, last = 0, 0
-            if extent[k] > 0:
-                inverse = np.float32(count) / extent[k]
-                first = min(max(int((box[r, k] - origin[k]) * inverse), 0), count - 1)
-                end = (-box[r, k + 4] - origin[k]) * inverse
-                last = int(end)
-                if np.float32(last) == end:
-                    last -= 1  # a box that ends at a plane does not reach into the bin behind
-                last = min(max(last, first), count - 1)
-            base = k * most
-            begins[base + first] += 1
-            ends[base + last] += 1
-            if first == last:
-                store(bin_box, base + first, union(load(bin_box, base + first), load(box, r)))
-                continue
-            if size == 0:
-                t = triangle[r]
-                if is_split[r]:
-                    size = _clipped_triangle(corners, t, scale, box, r, polygon, spare, points)
-                else:
-                    _whole_triangle(corners, t, scale, points)
-                    size = 3
-            width = extent[k] / np.float32(count)
-            _enter_section(points, size, k, first, last, origin[k], width, base, bin_box, bin_cut)
+        x0, x1 = _bins_of_box(box, r, 0, x, px, end)
+        y0, y1 = _bins_of_box(box, r, 1, y, py, end)
+        z0, z1 = _bins_of_box(box, r, 2, z, pz, end)
+        begins[x0] += 1
+        ends[x1] += 1
+        begins[on_y + y0] += 1
+        ends[on_y + y1] += 1
+        begins[on_z + z0] += 1
+        ends[on_z + z1] += 1
+        whole = load(box, r)
+        if x0 == x1:
+            widen(bin_box, x0, whole)
+        if y0 == y1:
+            widen(bin_box, on_y + y0, whole)
+        if z0 == z1:
+            widen(bin_box, on_z + z0, whole)
+        if x0 == x1 and y0 == y1 and z0 == z1:
+            continue
+        t, size = triangle[r], 3
+        if is_split[r]:
+            size = _clipped_triangle(corners, t, scale, box, r, polygon, spare, points)
+        else:
+            _whole_triangle(corners, t, scale, points)
+        if x0 != x1:
+            _enter_corners(points, size, 0, x0, x1, x, px, 0, bin_box)
+        if y0 != y1:
+            _enter_corners(points, size, 1, y0, y1, y, py, on_y, bin_box)
+        if z0 != z1:
+            _enter_corners(points, size, 2, z0, z1, z, pz, on_z, bin_box)
+
+
+@njit
+def _chop_all(
+    corners, scale, box, triangle, is_split, order, begin, n, count, axis, origin, extent,
+    bin_cut, base, polygon, spare, points,
+):  # fmt: skip
+    """Enter the sections of a node's references at the planes of one axis."""
+    bins, end = np.float32(count), count - 1
+    width, inverse = extent / bins, bins / extent
+    for i in range(begin, begin + n):
+        r = order[i]
+        first, last = _bins_of_box(box, r, axis, origin, inverse, end)
+        if first == last:
+            continue
+        t, size = triangle[r], 3
+        if is_split[r]:
+            size = _clipped_triangle(corners, t, scale, box, r, polygon, spare, points)
+        else:
+            _whole_triangle(corners, t, scale, points)
+        if size > 0:
+            _enter_crossings(points, size, axis, first, last, origin, inverse, width, base, bin_cut)
+
+
+@njit
+def _reach_planes(n, count, axis, origin, width, base, bin_cut, begins, ends):
+    """Let both sides of each plane that references are across reach to the plane."""
+    n_left, n_right = 0, n
+    for e in range(1, count):
+        n_left += begins[base + e - 1]
+        n_right -= ends[base + e - 1]
+        if n_left + n_right > n:
+            plane = origin + np.float32(e) * width
+            bin_cut[base + e, axis] = plane
+            bin_cut[base + e, axis + 4] = -plane
 
 
 @njit
@@ -340,17 +401,17 @@ def _cut_all(work, begin, across, first_id, axis, plane, cut, bins):
             bins.polygon, bins.spare,
         )  # fmt: skip
         if found == 3:
-            store(halves, 0, union(load(halves, 0), load(cut, both)))
-            store(halves, 1, union(load(halves, 1), load(box, first_id + both)))
+            widen(halves, 0, load(cut, both))
+            widen(halves, 1, load(box, first_id + both))
             work.across[begin + both] = r
             both += 1
         elif found == 1:
             work.side[r] = 1
-            store(halves, 0, union(load(halves, 0), load(box, r)))
+            widen(halves, 0, load(box, r))
             left += 1
         else:
             work.side[r] = 0
-            store(halves, 1, union(load(halves, 1), load(box, r)))
+            widen(halves, 1, load(box, r))
             right += 1
     return left, right, both
 
@@ -447,10 +508,29 @@ def _try_spatial(work, rules, begin, n, slack, first_id, limit, bins):
     row = bins.halves[2]
     origin = (row[0], row[1], row[2])
     extent = (-row[4] - row[0], -row[5] - row[1], -row[6] - row[2])
-    _enter_all(work, begin, n, count, origin, extent, bins)
-    best_cost, axis, at = limit, np.int64(-1), np.int64(0)
+    _enter_all(
+        work.corners, work.scale, work.box, work.triangle, work.is_split, work.orders[0],
+        begin, n, count, origin, extent,
+        bins.box, bins.cut, bins.begins, bins.ends, rules.bins,
+        bins.polygon, bins.spare, bins.points,
+    )  # fmt: skip
+    # Boxes of the corners alone are too small, but most nodes are done with them: where no
+    # plane pays even so, nothing is chopped.
+    none = np.int64(-1)
+    best_cost, axis, at = limit, none, np.int64(0)
     for k in range(3):
-        best_cost, axis, at = _sweep_planes(n, slack, count, k, best_cost, axis, at, bins)
+        _reach_planes(
+            n, count, k, origin[k], extent[k] / np.float32(count), k * rules.bins,
+            bins.cut, bins.begins, bins.ends,
+        )  # fmt: skip
+        bound, pays, _ = _sweep_planes(n, slack, count, k, limit, none, at, bins)
+        if pays >= 0 and bound < best_cost:
+            _chop_all(
+                work.corners, work.scale, work.box, work.triangle, work.is_split, work.orders[0],
+                begin, n, count, k, origin[k], extent[k],
+                bins.cut, k * rules.bins, bins.polygon, bins.spare, bins.points,
+            )  # fmt: skip
+            best_cost, axis, at = _sweep_planes(n, slack, count, k, best_cost, axis, at, bins)
     area = half_area(whole)
     if n <= rules.max_leaf and rules.leaf_cost * (n * area - best_cost) <= area:
         return -1, -1, 0
@@ -706,7 +786,13 @@ class SpatialOptions(Options):
         0.0,
         1.0,
     )
-    bins: int = option(128, "planes per axis to choose from; fewer build faster", 8, 256)
+    bins: int = option(
+        128,
+        "planes per axis to choose from, at most: nodes of few references have fewer; "
+        "a lower limit builds faster",
+        8,
+        256,
+    )
     budget: float = option(
         1.0,
         "references added at most, per triangle; memory is taken for all of them, and where "
