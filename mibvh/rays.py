@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
-import json
 import os
 from collections.abc import Callable
 from typing import Any
@@ -13,13 +11,11 @@ from typing import Any
 import numpy as np
 
 from mibvh.errors import MibvhError
-from mibvh.files import atomic_path
+from mibvh.files import checksum, read_arrays, write_arrays
 from mibvh.scene import Scene, load
-from mibvh.tree import read_npz
 from mibvh.triangles import F32, F64, I32
 from mibvh.variant import mitsuba
 
-FORMAT_VERSION = 1
 _ARRAYS = ("o", "d", "tmax", "viewpoint", "bounce", "source")
 #: How far origins are backed off along the incoming ray, relative to the scene's diagonal.
 BACK_OFF = 1e-5
@@ -61,10 +57,7 @@ class RaySet:
     @functools.cached_property
     def digest(self) -> str:
         """SHA-256 of the rays."""
-        digest = hashlib.sha256()
-        for name in _ARRAYS:
-            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
-        return digest.hexdigest()
+        return checksum({name: getattr(self, name) for name in _ARRAYS}, {})
 
     def select(self, chosen: Any) -> RaySet:
         """Keep some of the rays.
@@ -87,14 +80,8 @@ class RaySet:
         )
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an ``.npz`` file: the arrays, the metadata, a format version and a checksum."""
-        header = {"format": FORMAT_VERSION, "checksum": self.digest, "meta": self.meta}
-        with atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.savez(
-                file,
-                header=np.array(json.dumps(header, sort_keys=True)),
-                **{name: getattr(self, name) for name in _ARRAYS},
-            )
+        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`."""
+        write_arrays(path, {name: getattr(self, name) for name in _ARRAYS}, self.meta)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> RaySet:
@@ -103,13 +90,10 @@ class RaySet:
         Raises
         ------
         MibvhError
-            If the file is missing, is no ray set, is damaged, or comes from another format.
+            If the file is missing, is no ray set, is damaged, or comes from a newer format.
         """
-        arrays, header = read_npz(path, "ray set", _ARRAYS, FORMAT_VERSION)
-        rays = cls(**arrays, meta=header["meta"])
-        if rays.digest != header["checksum"]:
-            raise MibvhError(f"{path}: the ray set is damaged (its checksum does not match)")
-        return rays
+        arrays, meta = read_arrays(path, "ray set", _ARRAYS)
+        return cls(**arrays, meta=meta)
 
 
 def diffuse_rays(

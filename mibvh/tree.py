@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
-import json
 import os
-import zipfile
-import zlib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.files import atomic_path
+from mibvh.files import read_arrays, write_arrays
 from mibvh.triangles import F32, F64, I32, Triangles
 
 #: Inner nodes on a path; the traversal stack holds as many entries.
 MAX_DEPTH = 64
-FORMAT_VERSION = 1
 _ARRAYS = ("lower", "upper", "left", "first", "count", "references")
 
 
@@ -145,22 +139,9 @@ class Tree:
 
     # ------------------------------------------------------------ files
 
-    def _checksum(self) -> str:
-        digest = hashlib.sha256()
-        for name in _ARRAYS:
-            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
-        digest.update(json.dumps(self.meta, sort_keys=True).encode())
-        return digest.hexdigest()
-
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an ``.npz`` file: the arrays, the metadata, a format version and a checksum."""
-        header = {"format": FORMAT_VERSION, "checksum": self._checksum(), "meta": self.meta}
-        with atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.savez(
-                file,
-                header=np.array(json.dumps(header, sort_keys=True)),
-                **{name: getattr(self, name) for name in _ARRAYS},
-            )
+        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`."""
+        write_arrays(path, {name: getattr(self, name) for name in _ARRAYS}, self.meta)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Tree:
@@ -171,11 +152,8 @@ class Tree:
         MibvhError
             If the file is missing, is no tree, is damaged, or comes from a newer format.
         """
-        arrays, header = read_npz(path, "tree", _ARRAYS, FORMAT_VERSION)
-        tree = cls(**arrays, meta=header["meta"])
-        if tree._checksum() != header["checksum"]:
-            raise MibvhError(f"{path}: the tree file is damaged (its checksum does not match)")
-        return tree
+        arrays, meta = read_arrays(path, "tree", _ARRAYS)
+        return cls(**arrays, meta=meta)
 
     def check_matches(self, triangles: Triangles) -> None:
         """Refuse triangles that this tree was not built for.
@@ -197,29 +175,3 @@ class Tree:
                 f"{self.meta.get('triangles', '?')} triangles) was built for another geometry "
                 f"than {triangles.name} ({len(triangles)} triangles)"
             )
-
-
-def read_npz(
-    path: str | os.PathLike[str], kind: str, names: tuple[str, ...], version: int
-) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
-    """Read the arrays and the JSON header of one of mibvh's ``.npz`` files.
-
-    Raises
-    ------
-    MibvhError
-        If the file is missing, damaged, of another kind, or of a newer format.
-    """
-    try:
-        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
-            header = json.loads(str(data["header"]))
-            arrays = {name: data[name] for name in names}
-    except FileNotFoundError:
-        raise MibvhError(f"{path}: there is no such {kind} file") from None
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise MibvhError(f"{path}: not a {kind} file of mibvh, or damaged ({error})") from None
-    if header.get("format") != version:
-        raise MibvhError(
-            f"{path}: {kind} format {header.get('format')} is not the format {version} "
-            "that this mibvh reads"
-        )
-    return arrays, header
