@@ -188,3 +188,57 @@ def calibrate(records: list[dict[str, Any]], measurement: str = "scalar_ns") -> 
         "c_inner": inner / test if test > 0 else float("nan"),
         "mean_error": float(error.mean()), "worst_error": float(error.max()), "trees": len(y),
     }  # fmt: skip
+
+
+def sensitivity(records: list[dict[str, Any]], measurement: str) -> pd.DataFrame:
+    """What other cost constants do to r: the paper's, equal ones, and this machine's own.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``constants, c_inner, sah`` and ``fitted`` (mean Pearson r over the scenes).
+    """
+    own = calibrate(records, measurement)["c_inner"]
+    rows = []
+    for name, c_inner in {"paper": 1.2, "equal": 1.0, "two boxes": 2.0, "calibrated": own}.items():
+        if not np.isfinite(c_inner):
+            continue
+        found = []
+        for record in records:
+            sah, epo = (
+                np.array([t[part] for t in record["trees"]]) @ [c_inner, 1.0]
+                for part in ("sah_parts", "epo_parts")
+            )
+            measured = column(record, measurement)
+            alpha = fit_alpha(sah, epo, measured)
+            found.append((pearson(sah, measured), pearson(predict(sah, epo, alpha), measured)))
+        alone, both = np.nanmean(found, axis=0) if np.isfinite(found).any() else (np.nan, np.nan)
+        rows.append({"constants": name, "c_inner": c_inner, "sah": alone, "fitted": both})
+    return pd.DataFrame(rows)
+
+
+def absolute_errors(records: list[dict[str, Any]]) -> pd.DataFrame:
+    """How far the finite-rays predictor is from counted cost, with no line fitted in between.
+
+    Returns
+    -------
+    DataFrame
+        Per scene: ``s`` (mean ray length over mean chord), ``hit_share``, ``bias`` (mean relative
+        error), ``worst`` (largest relative error of a tree), ``spread`` (largest after the scene's
+        bias is taken out), and ``sigma`` (standard deviation of the extra cost at a ray's start,
+        over its mean: squared and divided by the square of the error wanted, the rays needed).
+    """
+    rows = []
+    for record in records:
+        measured, ratio = column(record, "counted_cost"), float(column(record, "length_ratio")[0])
+        predicted = finite_ray_cost(column(record, "sah"), column(record, "point_query"), ratio)
+        error = predicted / measured - 1
+        level = predicted / measured / np.exp(np.log(predicted / measured).mean()) - 1
+        sigma = column(record, "epo_starts_error") / column(record, "epo_starts")
+        rows.append({
+            "scene": record["scene"], "s": ratio, "hit_share": column(record, "hit_share")[0],
+            "bias": error.mean(), "worst": error[np.abs(error).argmax()],
+            "spread": np.abs(level).max(),
+            "sigma": float(np.median(sigma)) * np.sqrt(record["rays"]["count"]),
+        })  # fmt: skip
+    return pd.DataFrame(rows)

@@ -10,11 +10,13 @@ import numpy as np
 from mibvh.studies.analyse import (
     MEASUREMENTS,
     PREDICTORS,
+    absolute_errors,
     calibrate,
     column,
     correlations,
     overview,
     relative_to,
+    sensitivity,
 )
 
 
@@ -61,6 +63,16 @@ def write_markdown(records: list[dict[str, Any]]) -> str:
     heads = ["lanes", "ns per inner node", "ns per triangle", "ns per ray", "C_inner / C_tri",
              "mean error", "worst error", "trees"]  # fmt: skip
     parts += ["### What a step costs\n", table(heads, rows)]
+    rows = [
+        [row["constants"], f"{row['c_inner']:.2f}", _r(row["sah"]), _r(row["fitted"])]
+        for _, row in sensitivity(records, "scalar_ns").iterrows()
+    ]
+    parts += [
+        "### Other cost constants: mean r against scalar ns/ray\n",
+        table(["constants", "C_inner / C_tri", "SAH", "fitted"], rows),
+        "### Finite rays against counted cost, nothing fitted\n",
+        _absolute(records),
+    ]
     parts += ["### The stopwatch\n", _stopwatch(records), "### Trees\n", _trees(records)]
     return "\n".join(parts)
 
@@ -78,6 +90,17 @@ def _per_scene(found: Any, records: list[dict[str, Any]], measurement: str) -> s
         for record in records
     ]  # fmt: skip
     heads = ["scene", *PREDICTORS, "fitted, held out", "α fitted", "α estimated"]
+    return table(heads, rows)
+
+
+def _absolute(records: list[dict[str, Any]]) -> str:
+    rows = [
+        [row["scene"], f"{row['s']:.2f}", f"{row['hit_share']:.0%}", f"{row['bias']:+.0%}",
+         f"{row['worst']:+.0%}", f"{row['spread']:.0%}", f"{row['sigma']:.1f}"]
+        for _, row in absolute_errors(records).iterrows()
+    ]  # fmt: skip
+    heads = ["scene", "s", "rays that hit", "mean error", "worst error", "worst without the mean",
+             "σ / mean of EPO at starts"]  # fmt: skip
     return table(heads, rows)
 
 
