@@ -195,7 +195,8 @@ def bootstrap_interval(
         return float("nan"), float("nan")
     drawn = np.random.default_rng(seed).integers(0, y.shape[1], (1000, y.shape[1]))
     means = y[:, drawn].mean(axis=2)
-    r = [pearson(x, column) for column in means.T]
+    x, means = x - x.mean(), means - means.mean(axis=0)
+    r = x @ means / np.sqrt((x @ x) * (means * means).sum(axis=0))
     low, high = np.quantile(r, [0.5 - confidence / 2, 0.5 + confidence / 2])
     return float(low), float(high)
 

@@ -13,7 +13,6 @@ from mibvh.studies.analyse import (
     absolute_errors,
     calibrate,
     column,
-    correlations,
     overview,
     relative_to,
     sensitivity,
@@ -30,9 +29,8 @@ def _r(value: float) -> str:
     return f"{value:.3f}" if np.isfinite(value) else "–"
 
 
-def write_markdown(records: list[dict[str, Any]]) -> str:
+def write_markdown(records: list[dict[str, Any]], found: Any) -> str:
     """All tables of a study: overview, r per scene, builders, calibration, stopwatch, trees."""
-    found = correlations(records)
     parts = []
     summary = overview(found)
     for measurement, title in MEASUREMENTS.items():

@@ -16,7 +16,6 @@ from mibvh.studies.analyse import (
     PREDICTORS,
     calibrate,
     column,
-    correlations,
     overview,
     relative_to,
 )
@@ -58,9 +57,8 @@ def _template() -> Any:
     return environment.get_template("report.html")
 
 
-def write_report(folder: Path, records: list[dict[str, Any]]) -> Path:
+def write_report(folder: Path, records: list[dict[str, Any]], table: pd.DataFrame) -> Path:
     """Write ``report.html``, and each figure as SVG and PNG under ``figures/``."""
-    table = correlations(records)
     drawn = {"summary": figures.summary(table)}
     for record in records:
         name = record["scene"]

@@ -342,14 +342,16 @@ def write_outputs(folder: Path, records: list[dict[str, Any]]) -> None:
     """Write the tables, the environment and the report of the scenes that are finished."""
     import json
 
+    from mibvh.studies.analyse import correlations
     from mibvh.studies.markdown import write_markdown
     from mibvh.studies.report import write_report
     from mibvh.studies.tables import write_tables
 
-    write_tables(folder, records)
+    found = correlations(records)
+    write_tables(folder, records, found)
     write_text(folder / "environment.json", json.dumps(records[-1]["environment"], indent=2))
-    write_text(folder / "results.md", write_markdown(records))
-    write_report(folder, records)
+    write_text(folder / "results.md", write_markdown(records, found))
+    write_report(folder, records, found)
 
 
 def read_study(folder: str | os.PathLike[str]) -> Study:

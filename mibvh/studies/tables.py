@@ -9,7 +9,6 @@ from typing import Any
 import pandas as pd
 
 from mibvh.files import atomic_path
-from mibvh.studies.analyse import correlations
 
 #: Measurements of a tree and their units, in the order of the tables.
 UNITS = {
@@ -74,10 +73,10 @@ def tidy_table(records: list[dict[str, Any]]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def write_tables(folder: Path, records: list[dict[str, Any]]) -> None:
+def write_tables(folder: Path, records: list[dict[str, Any]], correlations: pd.DataFrame) -> None:
     """Write ``results.parquet`` (tidy), ``results.csv`` (wide) and ``correlations.csv``."""
     with atomic_path(folder / "results.parquet") as path:
         tidy_table(records).to_parquet(path, index=False)
-    for name, table in (("results", wide_table(records)), ("correlations", correlations(records))):
+    for name, table in (("results", wide_table(records)), ("correlations", correlations)):
         with atomic_path(folder / f"{name}.csv") as path:
             table.to_csv(path, index=False)
