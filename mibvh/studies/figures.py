@@ -116,14 +116,29 @@ def _scatter(
 
 
 def _label_points(axis: Axes, labels: list[str], x: np.ndarray, y: np.ndarray) -> None:
-    """Name the points, on the side where the next one is farther away."""
-    spread = max(float(np.ptp(y)), 1e-12)
-    order = np.argsort(y)
-    for place, i in enumerate(order):
-        close = place > 0 and (y[i] - y[order[place - 1]]) / spread < 0.06
-        offset, align = ((-7, 0), "right") if close and place % 2 else ((7, 0), "left")
-        axis.annotate(labels[i], (x[i], y[i]), xytext=offset, textcoords="offset points", ha=align,
-                      va="center", fontsize=8)  # fmt: skip
+    """Name the points: those that nearly coincide together, on alternate sides going up."""
+    spread = np.maximum([np.ptp(x), np.ptp(y)], 1e-12)
+    groups: list[list[int]] = []
+    for i in np.argsort(y):
+        for group in groups:
+            gap = np.abs([x[i] - x[group[0]], y[i] - y[group[0]]]) / spread
+            if gap[0] < 0.08 and gap[1] < 0.05:
+                group.append(i)
+                break
+        else:
+            groups.append([i])
+    for place, group in enumerate(groups):
+        at = group[0]
+        # On the right edge there is no room to the right, nor on the left edge to the left.
+        right = (
+            bool(place % 2)
+            if 0.2 < (x[at] - x.min()) / spread[0] < 0.8
+            else ((x[at] - x.min()) / spread[0] <= 0.2)
+        )
+        at = max(group, key=lambda i: x[i]) if right else min(group, key=lambda i: x[i])
+        axis.annotate(", ".join(labels[i] for i in group), (x[at], y[at]),
+                      xytext=(7 if right else -7, 0), textcoords="offset points",
+                      ha="left" if right else "right", va="center", fontsize=8)  # fmt: skip
 
 
 def by_depth(record: dict[str, Any]) -> Figure:
