@@ -164,8 +164,14 @@ def _slabs(row: Any, at: int, o: Any, ix: Any, iy: Any, iz: Any) -> tuple[Any, A
 
 
 def _triple(d: Any, ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> Any:
-    """``d . (a x b)``, rounded such that exchanging a and b changes the sign and nothing else."""
-    return d.x * (ay * bz - az * by) + (d.y * (az * bx - ax * bz) + d.z * (ax * by - ay * bx))
+    """Twice ``d . (a x b)``, rounded such that exchanging a and b changes the sign alone.
+
+    Computed as ``d . ((a + b) x (b - a))``: a x b itself is the small difference of large
+    products where the edge is short and far away.
+    """
+    sx, sy, sz = ax + bx, ay + by, az + bz
+    ex, ey, ez = bx - ax, by - ay, bz - az
+    return d.x * (sy * ez - sz * ey) + (d.y * (sz * ex - sx * ez) + d.z * (sx * ey - sy * ex))
 
 
 def _min(a: Any, b: Any) -> Any:
