@@ -63,6 +63,16 @@ def _progress() -> Any:
     )
 
 
+def _load(source: str) -> Any:
+    """Load a scene, and say on standard error what could not be taken over as it is."""
+    from mibvh import load
+
+    scene = load(source)
+    for note in scene.notes:
+        typer.echo(f"mibvh: {scene.name}: {note}", err=True)
+    return scene
+
+
 def _parse_options(pairs: list[str]) -> dict[str, Any]:
     """``name=value`` pairs; values as JSON where they are, otherwise as text."""
     options: dict[str, Any] = {}
@@ -107,10 +117,10 @@ def build_command(
     as_json: Json = False,
 ) -> None:
     """Build a tree of a scene and save it."""
-    from mibvh import build, load, sah
+    from mibvh import build, sah
 
     options = _parse_options(option or [])
-    triangles = load(scene).triangles
+    triangles = _load(scene).triangles
     with _progress() as bar:
         task = bar.add_task(f"build {builder}", total=1.0)
         tree = build(
@@ -134,9 +144,9 @@ def build_command(
 @app.command()
 def metrics(scene: SceneArgument, tree: TreeArgument, as_json: Json = False) -> None:
     """SAH, EPO and statistics of a tree."""
-    from mibvh import Tree, epo, load, sah
+    from mibvh import Tree, epo, sah
 
-    triangles = load(scene).triangles
+    triangles = _load(scene).triangles
     loaded = Tree.load(tree)
     with _progress() as bar:
         task = bar.add_task("EPO", total=1.0)
@@ -158,9 +168,9 @@ def rays(
     as_json: Json = False,
 ) -> None:
     """Path-trace diffuse rays with Mitsuba and save them."""
-    from mibvh import diffuse_rays, load
+    from mibvh import diffuse_rays
 
-    loaded = load(scene)
+    loaded = _load(scene)
     with _progress() as bar:
         task = bar.add_task("rays", total=1.0)
         found = diffuse_rays(
@@ -185,10 +195,10 @@ def trace(
     as_json: Json = False,
 ) -> None:
     """Trace rays through a tree: hits, exact counters, kernel time."""
-    from mibvh import RaySet, Tree, load
+    from mibvh import RaySet, Tree
     from mibvh.traversal.trace import trace as run
 
-    triangles = load(scene).triangles
+    triangles = _load(scene).triangles
     hits = run(
         Tree.load(tree), triangles, RaySet.load(rays), lanes,  # type: ignore[arg-type]
         cull=cull, any_hit=any_hit, repeats=repeats,
@@ -358,11 +368,10 @@ def scenes_show(
     """Render a scene's first viewpoint to a PNG."""
     import base64
 
-    from mibvh import load
     from mibvh.files import atomic_path
     from mibvh.studies.picture import picture
 
-    scene = load(name)
+    scene = _load(name)
     with atomic_path(output) as path:
         path.write_bytes(base64.b64decode(picture(scene)))
     _print(

@@ -63,6 +63,16 @@ def test_options_reach_the_builder(cli, tmp_path):
     assert mibvh.Tree.load(tmp_path / "t.npz").stats()["max_leaf_size"] == 1
 
 
+def test_what_is_no_triangle_is_named(cli, tmp_path):
+    (tmp_path / "s.xml").write_text(
+        '<scene version="3.0.0"><shape type="sphere" id="ball"/><shape type="cube"/></scene>'
+    )
+    code, out, err = cli("build", tmp_path / "s.xml", "-o", tmp_path / "t.npz", "--json")
+    assert code == 0
+    assert json.loads(out)["triangles"] > 12
+    assert "mibvh: s: Sphere 'ball' was tessellated" in err
+
+
 def test_a_plugin_registers_a_builder(cli, tmp_path):
     plugin = tmp_path / "mine.py"
     plugin.write_text(

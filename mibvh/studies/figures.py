@@ -171,7 +171,7 @@ def summary(table: Any) -> Figure:
     """
     names = list(dict.fromkeys(table["predictor"]))
     with style():
-        figure = Figure(figsize=(7.2, 2.8), layout="constrained")
+        figure = Figure(figsize=(7.2, 3.1), layout="constrained")
         axes = np.atleast_1d(figure.subplots(1, len(MEASUREMENTS), sharey=True))
         for axis, (measurement, title) in zip(axes, MEASUREMENTS.items(), strict=True):
             rows = table[(table["measurement"] == measurement) & table["pearson"].notna()]
@@ -184,7 +184,9 @@ def summary(table: Any) -> Figure:
                     axis.scatter([i + dx], [row["pearson"]], s=22, color=colour, gid=_TIP + tip)
                 if len(of):
                     axis.hlines(of["pearson"].mean(), i - 0.3, i + 0.3, color=_INK, lw=1.2)
-            axis.set_xticks(range(len(names)), names, rotation=30, ha="right")
+            axis.set_xticks(
+                range(len(names)), names, rotation=55, ha="right", rotation_mode="anchor"
+            )
             axis.set_title(title)
         axes[0].set_ylabel("Pearson r over the trees")
     return figure
