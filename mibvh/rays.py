@@ -216,13 +216,16 @@ def _bounce(mi: Any, scene: Scene, corners: Any, ray: Any, rng: Any) -> tuple[An
     rng = dr.gather(mi.PCG32, rng, went_on)
     a, b, c = (dr.gather(mi.Point3f, corners, triangle * 3 + i) for i in range(3))
     normal = dr.cross(b - a, c - a)
-    normal = normal * dr.rcp(dr.maximum(dr.max(dr.abs(normal)), 1e-38))  # no underflow in the norm
+    largest = dr.max(dr.abs(normal))  # scaled first, so that the norm does not underflow
+    normal = normal * dr.rcp(dr.select(largest > 1e-38, largest, 1e-38))
     normal = dr.normalize(normal)
     normal = dr.select(dr.dot(normal, d) > 0, -normal, normal)
     back = dr.select(t * 0.5 < BACK_OFF * scene.triangles.diagonal, t * 0.5,
                      BACK_OFF * scene.triangles.diagonal)  # fmt: skip
-    sample = mi.Point2f(rng.next_float32(), rng.next_float32())
-    out = mi.Frame3f(normal).to_world(mi.warp.square_to_cosine_hemisphere(sample))
+    # Mitsuba's own warp has a maximum in it that LLVM 15 cannot compile on AVX-512 machines.
+    u, phi = rng.next_float32(), dr.two_pi * rng.next_float32()
+    local = mi.Vector3f(dr.sqrt(u) * dr.cos(phi), dr.sqrt(u) * dr.sin(phi), dr.sqrt(1 - u))
+    out = mi.Frame3f(normal).to_world(local)
     sound = dr.compress(dr.all(dr.isfinite(out)))  # a zero-area triangle has no normal
     origin = mi.Point3f(o + d * (t - back))
     ray = mi.Ray3f(

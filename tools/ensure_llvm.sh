@@ -1,7 +1,12 @@
 #!/bin/sh
 # See that Dr.Jit finds a libLLVM (15 or newer); as root on a system with apt, install one.
 set -eu
-usable() { "$PYTHON" -c 'import sys, drjit as dr; sys.exit(not dr.has_backend(dr.JitBackend.LLVM))' 2>/dev/null; }
+# Dr.Jit's maximum is what LLVM 15 aborts on where the processor has AVX-512, and Mitsuba renders with it.
+usable() {
+    "$PYTHON" -c 'import drjit as dr, drjit.llvm as llvm
+assert dr.has_backend(dr.JitBackend.LLVM)
+dr.eval(dr.maximum(dr.arange(llvm.Float, 64), 3))' >/dev/null 2>&1
+}
 
 usable && exit 0
 advice="install LLVM 15 or newer (Debian, Ubuntu: apt install libllvm19; macOS: brew install llvm), or point DRJIT_LIBLLVM_PATH at its libLLVM"

@@ -24,7 +24,7 @@ def picture(scene: Scene) -> str:
         integrator; bare meshes are lit from the camera.
     """
     mi = mitsuba()
-    if scene.original is not None and scene.original.emitters():
+    if scene.original is not None and scene.original.emitters() and _can_render():
         image = mi.render(scene.original, sensor=0, spp=_SAMPLES)
         pixels = np.array(mi.Bitmap(image).convert(mi.Bitmap.PixelFormat.RGB,
                                                    mi.Struct.Type.Float32, False))  # fmt: skip
@@ -39,6 +39,13 @@ def picture(scene: Scene) -> str:
     buffer = io.BytesIO()
     picture.save(buffer, "PNG", optimize=True)
     return base64.b64encode(buffer.getvalue()).decode()
+
+
+def _can_render() -> bool:
+    """Whether Mitsuba's integrators compile: LLVM 15 aborts on them on AVX-512 machines."""
+    import drjit as dr
+
+    return mitsuba().variant().startswith("cuda") or dr.detail.llvm_version()[0] > 15
 
 
 def _headlight(mi: Any, scene: Scene) -> np.ndarray:
