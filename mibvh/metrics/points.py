@@ -1,7 +1,7 @@
 """Point queries: what it costs to find a point on a surface, and how much of that is overlap.
 
 The estimators of EPO that need no clipping: points drawn on the surfaces, or the points where
-rays begin and end. Shares no code with the exact walk of :mod:`mibvh.metrics.epo`.
+rays begin and end. Shares no geometry with the exact walk of :mod:`mibvh.metrics.epo`.
 """
 
 from __future__ import annotations
@@ -117,11 +117,12 @@ def point_costs(tree: Tree, triangles: Any, points: F64, ids: I32) -> F64:
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
     starts, positions = triangle_positions(tree, len(triangles))
+    costs = node_costs(tree)
     out = np.zeros((len(points), 2))
 
     def work(_worker: int, begin: int, end: int) -> None:
         _query(begin, end, points, ids, starts, positions, tree.lower, tree.upper, tree.left,
-               tree.first, tree.count, node_costs(tree), out)  # fmt: skip
+               tree.first, tree.count, costs, out)  # fmt: skip
 
     run_blocks(work, len(points), _BLOCK)
     return out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -340,8 +341,6 @@ def _picture(scene: Scene) -> dict[str, Any]:
 
 def write_outputs(folder: Path, records: list[dict[str, Any]]) -> None:
     """Write the tables, the environment and the report of the scenes that are finished."""
-    import json
-
     from mibvh.studies.analyse import correlations
     from mibvh.studies.markdown import write_markdown
     from mibvh.studies.report import write_report
