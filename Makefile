@@ -35,7 +35,7 @@ $(VENV)/installed: pyproject.toml requirements.lock
 
 # Needs uv; writes the versions that `make setup` installs.
 lock:
-	uv pip compile --quiet --universal --python-version 3.11 --extra dev --no-emit-index-url --no-annotate -o requirements.lock pyproject.toml
+	uv pip compile --quiet --universal --python-version 3.11 --extra dev --no-emit-index-url --no-annotate --no-header -o requirements.lock pyproject.toml
 
 clean:
 	rm -rf $(VENV) out
