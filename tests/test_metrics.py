@@ -44,14 +44,26 @@ def test_epo_is_zero_for_a_spatial_partition():
     assert mibvh.epo(hand_tree(), hand_triangles()) == 0.0
 
 
-def test_epo_by_hand():
+def test_the_picture_of_the_docs_by_hand():
     # The second square reaches 0.25 into the first leaf and the second leaf begins at 0.75:
     # a quarter of each square (area 0.25 of 2) lies in the other's leaf, at a cost of 2 each.
     tree = hand_tree(
         lower=np.array([[0, 0, 0], [0, 0, 0], [0.75, 0, 0]], np.float32),
         upper=np.array([[1.75, 1, 0], [1, 1, 0], [1.75, 1, 0]], np.float32),
     )
-    assert mibvh.epo(tree, hand_triangles(0.25)) == pytest.approx(2 * 2 * 0.25 / 2, abs=1e-12)
+    triangles = hand_triangles(0.25)
+    assert mibvh.epo(tree, triangles) == pytest.approx(2 * 2 * 0.25 / 2, abs=1e-12)
+    # Half areas 1.75, 1, 1.
+    assert mibvh.sah(tree) == pytest.approx((1.2 * 1.75 + 2 + 2) / 1.75, abs=1e-12)
+    # Rays straight down: of seven strips, one lies in both leaves.
+    o = np.stack([(np.arange(1400) + 0.5) / 800, np.full(1400, 0.3), np.ones(1400)], axis=1)
+    zeros = np.zeros(1400, np.int32)
+    down = np.tile(np.array([0, 0, -1], np.float32), (1400, 1))
+    far = np.full(1400, np.inf, np.float32)
+    rays = mibvh.RaySet(o.astype(np.float32), down, far, zeros, zeros, zeros)
+    hits = mibvh.trace(tree, triangles, rays, repeats=1)
+    assert hits.leaves.mean() == pytest.approx(8 / 7, abs=1e-12)
+    assert hits.lcv == pytest.approx(np.sqrt(6 / 7 * 1 / 7), abs=1e-12)
 
 
 def test_epo_of_a_split_tree_partition_is_zero():

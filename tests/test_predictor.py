@@ -16,6 +16,7 @@ from mibvh.metrics.predictor import (
     predict,
 )
 from mibvh.metrics.sah import node_costs
+from mibvh.studies.analyse import pool
 
 
 def test_fit_alpha_recovers_the_mixture():
@@ -126,3 +127,36 @@ def test_finite_rays_are_predicted_without_a_fit():
     predicted = finite_ray_cost([mibvh.sah(tree)], [holds.mean() * per_root], ratio)[0]
     assert predicted == pytest.approx(touched.mean() * per_root, rel=0.03)
     assert 0.2 < holds.mean() / touched.mean() < 0.8  # both parts matter
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_fit_alpha_beside_a_fixed_part_is_the_best_of_a_fine_grid(seed):
+    rng = np.random.default_rng(seed)
+    sah, epo, lcv, noise = rng.random((4, 9))
+    measured = predict(sah, epo, rng.random()) + rng.normal(0, 2) * lcv + noise
+    r = [pearson(predict(sah, epo, a) + 0.7 * lcv, measured) for a in np.linspace(0, 1, 2001)]
+    alpha = fit_alpha(sah, epo, measured, 0.7 * lcv)
+    found = pearson(predict(sah, epo, alpha) + 0.7 * lcv, measured)
+    assert found == pytest.approx(max(r), abs=1e-5)
+
+
+def lcv_scene(seed, weight):
+    """A scene's record whose cost is SAH, EPO and LCV, the last at ``weight``."""
+    rng = np.random.default_rng(seed)
+    sah, epo, lcv = rng.random((3, 9))
+    cost = predict(sah, epo, 0.4) + weight * lcv
+    names = ("sah", "epo", "lcv", "counted_cost")
+    return {"trees": [dict(zip(names, v, strict=True)) for v in zip(sah, epo, lcv, cost,
+                                                                    strict=True)]}  # fmt: skip
+
+
+def test_the_fixed_weight_of_lcv_of_a_scene_comes_from_the_others():
+    """Scenes with a weight of 2, and one with a weight of 20 that does not fit its own."""
+    records = [lcv_scene(seed, 2.0) for seed in range(5)] + [lcv_scene(5, 20.0)]
+    pooled = pool(records, "counted_cost")
+    assert len({p.lcv for p in pooled}) == 1
+    assert pooled[5].lcv_from_others == pytest.approx(2, rel=0.15)  # on the grid of weights
+    assert pooled[0].lcv_from_others > pooled[5].lcv_from_others
+    alone = pool(records[:1], "counted_cost")[0]
+    assert alone.lcv == pytest.approx(2, rel=0.15)
+    assert np.isnan(alone.lcv_from_others)

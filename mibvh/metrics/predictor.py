@@ -38,34 +38,42 @@ def pearson(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> float:
     x, y = np.asarray(predicted, np.float64), np.asarray(measured, np.float64)
     if len(x) < 3 or np.ptp(x) == 0 or np.ptp(y) == 0:
         return float("nan")
-    return float(stats.pearsonr(x, y).statistic)
+    return float(np.corrcoef(x, y)[0, 1])
 
 
-def fit_alpha(sah: npt.ArrayLike, epo: npt.ArrayLike, measured: npt.ArrayLike) -> float:
-    """Alpha of the greatest Pearson r with the measurement, in closed form.
+def fit_alpha(
+    sah: npt.ArrayLike, epo: npt.ArrayLike, measured: npt.ArrayLike, plus: npt.ArrayLike = 0.0
+) -> float:
+    """Alpha of the greatest Pearson r of ``(1 - alpha) SAH + alpha EPO + plus``, in closed form.
 
-    Of all linear combinations, that of least squares correlates best; where its weights are
-    not both positive, the best one allowed is SAH alone or EPO alone.
+    r has one stationary point along alpha; where that lies outside 0 to 1, or is a minimum, the
+    best alpha allowed is one of the ends.
 
     Parameters
     ----------
     sah, epo, measured : (K,) array
         One value per tree.
+    plus : (K,) array, optional
+        What else the prediction has in it, such as a fixed weight times LCV.
 
     Returns
     -------
     float
-        From 0 to 1; NaN for fewer than three trees.
+        From 0 to 1; NaN where no r is defined, as for fewer than three trees.
     """
-    s, e, y = (np.asarray(v, np.float64) for v in (sah, epo, measured))
+    s, e, y, more = (np.asarray(v, np.float64) for v in (sah, epo, measured, plus))
     if len(y) < 3:
         return float("nan")
-    columns = np.stack([s - s.mean(), e - e.mean()], axis=1)
-    weights = np.linalg.lstsq(columns, y - y.mean(), rcond=None)[0]
-    if (weights >= 0).all() and weights.sum() > 0:
-        return float(weights[1] / weights.sum())
-    alone = np.nan_to_num([pearson(s, y), pearson(e, y)], nan=-1.0)
-    return float(alone.argmax())
+    base, step, y = (v - v.mean() for v in (s + more, e - s, y))
+    # With base + alpha * step for the prediction, dr / dalpha = 0 is linear in alpha.
+    over = (step @ y) * (base @ base) - (base @ y) * (base @ step)
+    under = (base @ y) * (step @ step) - (step @ y) * (base @ step)
+    ends = [0.0, 1.0]
+    candidates = [over / under, *ends] if under != 0 and 0 < over / under < 1 else ends
+    r = np.array([pearson(base + alpha * step, y) for alpha in candidates])
+    if np.isnan(r).all():
+        return float("nan")
+    return float(candidates[int(np.nanargmax(r))])
 
 
 def path_length_ratio(triangles: Any, rays: Any, hits: Any) -> float:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 from scipy import optimize
 
@@ -36,8 +38,13 @@ PREDICTORS = {
     "estimated": "(1 − α) SAH + α EPO, α from the rays' mean length; no tree is measured",
     "ray ends": "(1 − α) SAH + α EPO at the rays' starts and ends, α fitted",
     "finite rays": "s SAH + point query at the rays' starts; nothing is fitted",
-    "with LCV": "SAH, EPO and LCV, both weights fitted",
+    "with LCV": "(1 − α) SAH + α EPO + β LCV, α and β fitted to the scene's trees",
+    "LCV fixed": "the same, α fitted, the β of greatest mean r over these scenes",
+    "LCV from others": "the same, α fitted, the β of greatest mean r over the other scenes",
 }
+#: Weights of LCV that are tried, in cost per leaf.
+_LCV_WEIGHTS = np.concatenate([[0.0], np.geomspace(0.1, 100, 31)])
+_NONE = float("nan")
 
 
 def column(record: dict[str, Any], name: str) -> np.ndarray:
@@ -45,43 +52,88 @@ def column(record: dict[str, Any], name: str) -> np.ndarray:
     return np.array([tree[name] for tree in record["trees"]], dtype=np.float64)
 
 
-def best_fixed_alpha(records: list[dict[str, Any]], measurement: str) -> float:
-    """Alpha of the greatest mean Pearson r over all scenes; NaN where no r is defined."""
-    cases = [
-        (column(r, "sah"), column(r, "epo"), column(r, measurement))
-        for r in records
-        if np.isfinite(pearson(column(r, "sah"), column(r, measurement)))
-    ]
-    if not cases:
-        return float("nan")
-    grid = np.linspace(0, 1, 101)
-    mean = [np.mean([pearson(predict(s, e, a), y) for s, e, y in cases]) for a in grid]
-    return float(grid[int(np.argmax(mean))])
+@dataclasses.dataclass(frozen=True)
+class Pooled:
+    """Weights that are fitted to several scenes at once; NaN where there is nothing to fit.
+
+    Attributes
+    ----------
+    alpha : float
+        Alpha of the greatest mean Pearson r over all scenes.
+    lcv : float
+        Weight of LCV of the greatest mean r over all scenes, alpha being fitted to each.
+    lcv_from_others : float
+        The same without the scene that it is for, so that no scene fits its own.
+    """
+
+    alpha: float = _NONE
+    lcv: float = _NONE
+    lcv_from_others: float = _NONE
+
+
+def pool(records: list[dict[str, Any]], measurement: str) -> list[Pooled]:
+    """Fit the weights that scenes share.
+
+    Returns
+    -------
+    list of Pooled
+        One per scene; scenes with no r, for having too few trees, are left out of the means.
+    """
+    by_alpha, by_lcv = [], []
+    for record in records:
+        sah, epo, lcv, y = (column(record, name) for name in ("sah", "epo", "lcv", measurement))
+        by_alpha.append([pearson(predict(sah, epo, a), y) for a in np.linspace(0, 1, 101)])
+        by_lcv.append([pearson(_with_lcv(sah, epo, lcv, y, w)[1], y) for w in _LCV_WEIGHTS])
+    best_alpha = _best(np.linspace(0, 1, 101), np.array(by_alpha))
+    best_lcv = _best(_LCV_WEIGHTS, np.array(by_lcv))
+    others = [_best(_LCV_WEIGHTS, np.delete(by_lcv, i, axis=0)) for i in range(len(records))]
+    return [Pooled(best_alpha, best_lcv, other) for other in others]
+
+
+def _best(choices: npt.NDArray[np.float64], r: npt.NDArray[np.float64]) -> float:
+    """Choice of the greatest mean of r (scene, choice); NaN where no scene has an r."""
+    r = r[np.isfinite(r).any(axis=1)]
+    mean = np.nan_to_num(r).mean(axis=0) if len(r) else r
+    return float(choices[int(mean.argmax())]) if len(r) else _NONE
+
+
+def _with_lcv(
+    sah: npt.NDArray[np.float64],
+    epo: npt.NDArray[np.float64],
+    lcv: npt.NDArray[np.float64],
+    measured: npt.NDArray[np.float64],
+    weight: float,
+) -> tuple[float, npt.NDArray[np.float64]]:
+    """Fitted alpha and prediction, with LCV of a fixed weight in it."""
+    alpha = fit_alpha(sah, epo, measured, weight * lcv)
+    return alpha, predict(sah, epo, alpha) + weight * lcv
 
 
 def predictors(
-    record: dict[str, Any], measurement: str, best_alpha: float
+    record: dict[str, Any], measurement: str, pooled: Pooled | None = None
 ) -> dict[str, tuple[float, np.ndarray]]:
     """Alpha (NaN where there is none) and prediction of each of :data:`PREDICTORS`."""
-    sah, epo, measured = (column(record, name) for name in ("sah", "epo", measurement))
+    pooled = pooled or Pooled()
+    sah, epo, lcv, measured = (column(record, name) for name in ("sah", "epo", "lcv", measurement))
     share, ratio = (float(column(record, name)[0]) for name in ("hit_share", "length_ratio"))
     at_ends = column(record, "epo_starts") + share * column(record, "epo_ends")
     alphas = {
         "SAH": 0.0,
         "fitted": fit_alpha(sah, epo, measured),
         **{f"fixed {a}": a for a in FIXED_ALPHAS},
-        "fixed best": best_alpha,
+        "fixed best": pooled.alpha,
         "estimated": estimate_alpha(ratio),
     }
     found = {name: (alpha, predict(sah, epo, alpha)) for name, alpha in alphas.items()}
     of_ends = fit_alpha(sah, at_ends, measured)
     found["ray ends"] = (of_ends, predict(sah, at_ends, of_ends))
-    none = float("nan")
-    found["finite rays"] = (none, finite_ray_cost(sah, column(record, "point_query"), ratio))
-    columns = [sah, epo, column(record, "lcv")]
+    found["finite rays"] = (_NONE, finite_ray_cost(sah, column(record, "point_query"), ratio))
+    columns = [sah, epo, lcv]
     enough = len(measured) > len(columns) + 1
-    combined = fitted_combination(columns, measured) if enough else np.full(len(measured), none)
-    found["with LCV"] = (none, combined)
+    combined = fitted_combination(columns, measured) if enough else np.full(len(measured), _NONE)
+    found["with LCV"] = (_NONE, combined)
+    found["LCV fixed"] = _with_lcv(sah, epo, lcv, measured, pooled.lcv)
+    found["LCV from others"] = _with_lcv(sah, epo, lcv, measured, pooled.lcv_from_others)
     return found
 
 
@@ -98,11 +150,10 @@ def correlations(records: list[dict[str, Any]]) -> pd.DataFrame:
     """
     rows = []
     for measurement in MEASUREMENTS:
-        best = best_fixed_alpha(records, measurement)
-        for record in records:
+        for record, pooled in zip(records, pool(records, measurement), strict=True):
             measured = column(record, measurement)
             groups = np.array([tree["cost_groups"] for tree in record["trees"]])
-            for name, (alpha, values) in predictors(record, measurement, best).items():
+            for name, (alpha, values) in predictors(record, measurement, pooled).items():
                 low = high = float("nan")
                 if measurement == "counted_cost":
                     low, high = bootstrap_interval(values, groups)

@@ -73,7 +73,7 @@ def predicted_measured(record: dict[str, Any], measurement: str) -> Figure:
     """
     measured = column(record, measurement)
     builders = [tree["builder"] for tree in record["trees"]]
-    both = predictors(record, measurement, float("nan"))
+    both = predictors(record, measurement)
     second = "fitted" if np.isfinite(both["fitted"][0]) else "fixed 0.79"
     with style():
         figure = Figure(figsize=(7.2, 3.1), layout="constrained")

@@ -14,6 +14,7 @@ from mibvh.studies.analyse import (
     calibrate,
     column,
     overview,
+    pool,
     relative_to,
     sensitivity,
 )
@@ -43,6 +44,7 @@ def write_markdown(records: list[dict[str, Any]], found: Any) -> str:
             f"### r over the scenes: {title}\n",
             table(["predictor", "mean", "min", "max", "worst error", "scenes"], rows),
         ]
+    parts += ["### Weights that the scenes share\n", _shared(records)]
     for measurement, title in MEASUREMENTS.items():
         parts += [f"### r per scene: {title}\n", _per_scene(found, records, measurement)]
     relative = {n: relative_to(records, n) for n in ("sah", "epo", "lcv", "counted_cost",
@@ -88,6 +90,18 @@ def _per_scene(found: Any, records: list[dict[str, Any]], measurement: str) -> s
         for record in records
     ]  # fmt: skip
     heads = ["scene", *PREDICTORS, "fitted, held out", "α fitted", "α estimated"]
+    return table(heads, rows)
+
+
+def _shared(records: list[dict[str, Any]]) -> str:
+    rows = []
+    for measurement, title in MEASUREMENTS.items():
+        found = pool(records, measurement)
+        others = [p.lcv_from_others for p in found]
+        weights = (found[0].alpha, found[0].lcv, np.min(others), np.max(others))
+        rows.append([title, *(f"{w:.2f}" if np.isfinite(w) else "–" for w in weights)])
+    heads = ["measurement", "best fixed α", "best fixed β of LCV", "smallest β without a scene",
+             "largest"]  # fmt: skip
     return table(heads, rows)
 
 
