@@ -87,6 +87,11 @@ def _parse_options(pairs: list[str]) -> dict[str, Any]:
     return options
 
 
+def _names(text: str) -> tuple[str, ...]:
+    """Names that are separated by commas."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
 def _load_plugin(path: Path) -> None:
     """Run a Python file that registers builders."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -210,10 +215,15 @@ def trace(
 
 @app.command()
 def study(
-    scenes: Annotated[list[str], typer.Argument(metavar="SCENE...", help="as for build")],
+    scenes: Annotated[
+        list[str], typer.Argument(metavar="SCENE...", help="as for build, or folders of scenes")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="folder of the results")],
     builders: Annotated[str, typer.Option(help="names, comma-separated; all by default")] = "",
     profile: Annotated[str, typer.Option(help="quick or paper")] = "quick",
+    experiments: Annotated[
+        str, typer.Option(help="of prediction, depth, rotation, sensitivity; or all")
+    ] = "",
     seconds: Annotated[float | None, typer.Option(help="stopwatch budget per lane mode")] = None,
     seed: Annotated[int, typer.Option(help="of the rays")] = 0,
     as_json: Json = False,
@@ -221,26 +231,31 @@ def study(
     """Build, measure, predict and report, for scenes and builders."""
     from mibvh import StudyOptions
     from mibvh import study as run
-    from mibvh.studies import PROFILES
+    from mibvh.studies import EXPERIMENTS, PROFILES
+    from mibvh.studies.catalogue import scenes_in
 
     if profile not in PROFILES:
         raise MibvhError(f"--profile is one of {', '.join(PROFILES)}, not {profile!r}")
     choices = {**PROFILES[profile], "seed": seed}
     if seconds is not None:
         choices["seconds"] = seconds
-    named = tuple(name.strip() for name in builders.split(",") if name.strip())
+    named = _names(builders)
+    if experiments:
+        asked = _names(experiments)
+        choices["experiments"] = tuple(EXPERIMENTS) if asked == ("all",) else asked
+    sources = [str(part) for source in scenes for part in scenes_in(source)]
     with _progress() as bar:
-        task = bar.add_task("study", total=float(len(scenes)))
+        task = bar.add_task("study", total=float(len(sources)))
         order: dict[str, int] = {}
 
         def show(scene: str, stage: str, done: float) -> None:
             place = order.setdefault(scene, len(order))
             bar.update(task, description=f"{scene}: {stage}", completed=place + done)
             if done == 1.0 and bar.disable:
-                typer.echo(f"{scene}: done ({place + 1} of {len(scenes)})", err=True)
+                typer.echo(f"{scene}: done ({place + 1} of {len(sources)})", err=True)
 
         options = StudyOptions(builders=named, **choices)
-        result = run(scenes, output, options=options, progress=show)
+        result = run(sources, output, options=options, progress=show)
     if as_json:
         rows = json.loads(result.table.to_json(orient="records"))
         r = json.loads(result.correlations.to_json(orient="records"))
@@ -330,6 +345,31 @@ def scenes_list(as_json: Json = False) -> None:
     for info in catalogue:
         table.add_row(info.name, info.kind, f"{info.triangles:,}", info.title)
     Console().print(table)
+
+
+@scenes_app.command("paper")
+def scenes_paper(as_json: Json = False) -> None:
+    """List the paper's own scenes: where each is to be had, and what was published of it."""
+    import dataclasses
+
+    from mibvh.studies.catalogue import PAPER_SCENES, paper_scenes
+
+    known = paper_scenes()
+    if as_json:
+        typer.echo(json.dumps({"scenes": [dataclasses.asdict(scene) for scene in known]}))
+        return
+    table = Table("scene", "triangles", "r SAH", "r SAH+EPO", "alpha", "where", box=None)
+    for scene in known:
+        figures = (scene.r_sah, scene.r_sah_epo, scene.alpha)
+        table.add_row(
+            scene.name, f"{scene.triangles:,}" if scene.triangles else "",
+            *("" if f is None else f"{f:g}" for f in figures), scene.where or "",
+        )  # fmt: skip
+    Console().print(table)
+    typer.echo(
+        f"\nThe slides name {len(known)} of the {PAPER_SCENES} scenes; what is not known is left "
+        "out.\nTriangles are those of the file that is to be had; the paper's own may differ."
+    )
 
 
 @scenes_app.command("make")

@@ -7,6 +7,14 @@ from typing import Any
 
 from mibvh.errors import MibvhError
 
+#: The experiments of a study, and what each adds. The first is the base of all others.
+EXPERIMENTS = {
+    "prediction": "metrics, counted cost, scalar and SIMD time, repeatability; always done",
+    "depth": "where in the trees cost and overlap sit, and the worst case that remains",
+    "rotation": "the scene and its rays turned 45 degrees about (1, 1, 1), all trees built anew",
+    "sensitivity": "other leaf sizes, deeper bounces, fewer viewpoints, by counted cost",
+}
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StudyOptions:
@@ -16,6 +24,8 @@ class StudyOptions:
     ----------
     builders : tuple of str
         Empty for all that are registered.
+    experiments : tuple of str
+        From :data:`EXPERIMENTS`.
     width, height, samples, bounces, viewpoints, seed
         As for :func:`mibvh.diffuse_rays`; ``viewpoints`` 0 means all of a scene.
     scalar_rays : int
@@ -29,6 +39,7 @@ class StudyOptions:
     """
 
     builders: tuple[str, ...] = ()
+    experiments: tuple[str, ...] = ("prediction", "depth")
     width: int = 160
     height: int = 120
     samples: int = 1
@@ -47,11 +58,22 @@ class StudyOptions:
         for name in ("viewpoints", "seconds", "standard_error"):
             if getattr(self, name) < 0:
                 raise MibvhError(f"{name} must not be negative, not {getattr(self, name)}")
+        if unknown := sorted(set(self.experiments) - set(EXPERIMENTS)):
+            raise MibvhError(
+                f"there is no experiment {unknown[0]!r}; there are: {', '.join(EXPERIMENTS)}"
+            )
 
     def rays(self) -> dict[str, Any]:
         """Arguments for :func:`mibvh.diffuse_rays`."""
         names = ("width", "height", "samples", "bounces", "seed")
         return {"viewpoints": self.viewpoints or None, **{n: getattr(self, n) for n in names}}
+
+    def stopwatch(self, lanes: str) -> dict[str, Any]:
+        """What times depend on, besides the trees, the rays and the machine."""
+        names = ("seconds", "standard_error", "cull")
+        return {
+            n: getattr(self, n) for n in (*names, *(("scalar_rays",) if lanes == "scalar" else ()))
+        }
 
 
 #: ``quick`` for a first look and for tests, ``paper`` for figures to be cited.
@@ -63,5 +85,6 @@ PROFILES: dict[str, dict[str, Any]] = {
         "samples": 4,
         "scalar_rays": 131072,
         "seconds": 60.0,
+        "experiments": tuple(EXPERIMENTS),
     },
 }

@@ -21,6 +21,7 @@ from mibvh.studies.store import Store, key_of
 from mibvh.traversal.records import Records, make_records, unit_scale
 from mibvh.traversal.trace import Tracer, trace
 from mibvh.tree import Tree
+from mibvh.triangles import Triangles
 from mibvh.variant import mitsuba
 
 #: Groups of rays over which a tree's mean cost is kept, for the bootstrap.
@@ -43,7 +44,7 @@ def study_tree(
     report("metrics", 0.5)
     row = kept(store, f"metrics-{key}", functools.partial(tree_metrics, tree, scene))
     report("count", 0.8)
-    counts_key = key_of(tree=key, rays=rays_key, cull=options.cull)
+    counts_key = key_of(tree=key, rays=rays_key, cull=options.cull, format=2)
     make = functools.partial(ray_counts, tree, scene, rays, options)
     counts = kept(store, f"counts-{counts_key}", make)
     return key, tree, {"builder": name, **row, **counts}
@@ -125,6 +126,7 @@ def ray_counts(tree: Tree, scene: Scene, rays: RaySet, options: StudyOptions) ->
         **{name: summary[name] for name in kept},
         "counted_cost": hits.counted_cost(c_inner, c_tri),
         "cost_groups": (sums / np.maximum(np.bincount(group, minlength=_RAY_GROUPS), 1)).tolist(),
+        "costs_by_origin": costs_by_origin(rays, costs),
         "leaf_distribution": np.bincount(hits.leaves).tolist(),
         "epo_starts": float(at_starts[:, 0].mean()),
         "epo_starts_error": _standard_error(at_starts[:, 0]),
@@ -133,6 +135,37 @@ def ray_counts(tree: Tree, scene: Scene, rays: RaySet, options: StudyOptions) ->
         "hit_share": ends.share,
         "length_ratio": path_length_ratio(scene.triangles, rays, hits),
     }
+
+
+def costs_by_origin(rays: RaySet, costs: np.ndarray) -> list[dict[str, Any]]:
+    """Mean cost of the rays of each bounce and viewpoint.
+
+    Parameters
+    ----------
+    rays : RaySet
+    costs : (R,) array
+
+    Returns
+    -------
+    list of dict
+        ``bounce, viewpoint, rays, cost``, for each pair that has rays.
+    """
+    pairs, group = np.unique(
+        np.stack([rays.bounce, rays.viewpoint], axis=1), axis=0, return_inverse=True
+    )
+    group = group.ravel()
+    count, sums = np.bincount(group), np.bincount(group, costs)
+    return [
+        {"bounce": int(bounce), "viewpoint": int(view), "rays": int(n), "cost": float(total / n)}
+        for (bounce, view), n, total in zip(pairs, count, sums, strict=True)
+    ]
+
+
+def counted_costs(tracer: Tracer, tree: Tree, triangles: Triangles) -> np.ndarray:
+    """(R,) float64: what each ray costs by the counters; nothing is timed."""
+    outputs, _ = tracer.run(make_records(tree, triangles), count=True)
+    inner, tests = (tracer.fetch(outputs[i]).astype(np.float64) for i in (2, 4))
+    return tree.meta["c_inner"] * inner + tree.meta["c_tri"] * tests
 
 
 def _standard_error(values: np.ndarray) -> float:

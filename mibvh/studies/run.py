@@ -16,8 +16,12 @@ from mibvh.errors import MibvhError
 from mibvh.files import write_text
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene, load
+from mibvh.studies.catalogue import scenes_in, triangle_count_notes
+from mibvh.studies.depth import depth_experiment, depth_table
 from mibvh.studies.options import StudyOptions
 from mibvh.studies.pieces import cameras, kept, report_part, study_tree, times
+from mibvh.studies.rotation import rotation_experiment, rotation_factors
+from mibvh.studies.sensitivity import sensitivity_experiment, sensitivity_table
 from mibvh.studies.store import Store, key_of
 from mibvh.tree import Tree
 
@@ -62,6 +66,21 @@ class Study:
 
         return correlations(self.scenes)
 
+    @functools.cached_property
+    def rotation(self) -> pd.DataFrame:
+        """By what turning raises costs; see :func:`mibvh.studies.rotation.rotation_factors`."""
+        return rotation_factors(self.scenes)
+
+    @functools.cached_property
+    def sensitivity(self) -> pd.DataFrame:
+        """Other choices; see :func:`mibvh.studies.sensitivity.sensitivity_table`."""
+        return sensitivity_table(self.scenes)
+
+    @functools.cached_property
+    def depth(self) -> pd.DataFrame:
+        """Where in the trees cost and overlap sit; see :func:`mibvh.studies.depth.depth_table`."""
+        return depth_table(self.scenes)
+
     @property
     def report(self) -> Path:
         """The HTML report."""
@@ -81,7 +100,7 @@ def study(
     Parameters
     ----------
     scenes : sequence
-        Each a Scene or what :func:`mibvh.load` takes.
+        Each a Scene, what :func:`mibvh.load` takes, or a folder of such files.
     folder : path
         Results go here; run again with the same folder to go on after an interruption.
     options : StudyOptions, optional
@@ -111,7 +130,7 @@ def study(
     store = Store(Path(folder) / "cache")
     records: list[dict[str, Any]] = []
     taken: set[str] = set()
-    for source in scenes:
+    for source in [part for given in scenes for part in scenes_in(given)]:
         scene = load(source)
         if scene.name in taken:
             raise MibvhError(f"two scenes are called {scene.name}; rename a file or folder")
@@ -132,27 +151,33 @@ def study_scene(
         JSON-able: ``scene``, ``triangles``, ``rays`` (facts of the ray set), ``timing`` (per
         lane mode: rounds, whether the error asked for was reached, and how far the same tree,
         timed twice under two names, differed), ``trees`` (one dict per builder: metrics,
-        counters, times and their relative errors), and ``options``.
+        counters, times and their relative errors), ``options``, and, where those experiments
+        were asked for, ``rotation`` (see :func:`~mibvh.studies.rotation.rotation_experiment`) and
+        ``sensitivity`` (see :func:`~mibvh.studies.sensitivity.sensitivity_experiment`).
     """
     triangles = scene.triangles
     report = functools.partial(progress, scene.name)
+    shares = _shares(options.experiments)
+    part = functools.partial(_part, report, *shares["prediction"])
     rays_key = key_of(digest=triangles.digest, cameras=cameras(scene), **options.rays())
-    report("rays", 0.0)
+    part("rays", 0.0)
     rays = store.array(RaySet, rays_key, functools.partial(diffuse_rays, scene, **options.rays()))
     trees: dict[str, Tree] = {}
     rows: list[dict[str, Any]] = []
     share = 0.5 / len(options.builders)
     for i, name in enumerate(options.builders):
-        part = functools.partial(report_part, report, name, 0.02 + share * i, share)
-        key, tree, row = study_tree(name, scene, rays, rays_key, options, store, part)
+        stage = functools.partial(report_part, part, name, 0.02 + share * i, share)
+        key, tree, row = study_tree(name, scene, rays, rays_key, options, store, stage)
+        if "depth" in options.experiments:
+            row.update(kept(store, f"depth-{key}", functools.partial(depth_experiment, tree)))
         trees[key] = tree
         rows.append(row)
     timing = {}
     for i, lanes in enumerate(("scalar", "simd")):
-        part = functools.partial(report_part, report, lanes, 0.55 + 0.2 * i, 0.2)
+        stage = functools.partial(report_part, part, lanes, 0.55 + 0.2 * i, 0.2)
         key = key_of(trees=list(trees), rays=rays_key, lanes=lanes, machine=environment(),
-                     options=dataclasses.asdict(options))  # fmt: skip
-        make = functools.partial(times, list(trees.values()), scene, rays, lanes, options, part)
+                     options=options.stopwatch(lanes))  # fmt: skip
+        make = functools.partial(times, list(trees.values()), scene, rays, lanes, options, stage)
         found = kept(store, f"timing-{key}", make)
         for row, ns, error in zip(rows, found.pop("ns"), found.pop("error"), strict=True):
             row[f"{lanes}_ns"], row[f"{lanes}_error"] = ns, error
@@ -161,7 +186,7 @@ def study_scene(
         "scene": scene.name,
         "triangles": len(triangles),
         "digest": triangles.digest,
-        "notes": scene.notes,
+        "notes": [*scene.notes, *triangle_count_notes(scene.name, len(triangles))],
         "rays": {**rays.meta, "count": len(rays), "digest": rays.digest},
         "timing": timing,
         "trees": rows,
@@ -169,9 +194,36 @@ def study_scene(
         "environment": environment(),
         "picture": kept(store, f"picture-{rays_key}", functools.partial(_picture, scene)),
     }
+    if "rotation" in options.experiments:
+        part = functools.partial(_part, report, *shares["rotation"])
+        record["rotation"] = rotation_experiment(
+            scene, rays, rays_key, trees, environment(), options, store, part
+        )
+    if "sensitivity" in options.experiments:
+        part = functools.partial(_part, report, *shares["sensitivity"])
+        record["sensitivity"] = sensitivity_experiment(
+            scene, rays, rays_key, trees, options, store, part
+        )
     store.write(_KEPT + scene.name, record)
     report("done", 1.0)
     return record
+
+
+def _shares(experiments: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Where in the progress of a scene each experiment begins, and its share."""
+    weights = {"prediction": 1.0, "rotation": 1.0, "sensitivity": 0.6}
+    chosen = {n: w for n, w in weights.items() if n == "prediction" or n in experiments}
+    total, begin, shares = sum(chosen.values()), 0.0, {}
+    for name, weight in chosen.items():
+        shares[name] = (begin / total, weight / total)
+        begin += weight
+    return shares
+
+
+def _part(
+    report: Callable[[str, float], None], begin: float, share: float, stage: str, done: float
+) -> None:
+    report(stage, begin + share * done)
 
 
 def _picture(scene: Scene) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -50,27 +51,55 @@ def wide_table(records: list[dict[str, Any]]) -> pd.DataFrame:
 
 
 def tidy_table(records: list[dict[str, Any]]) -> pd.DataFrame:
-    """One row per scene, tree and measurement, with what it was made with."""
+    """One row per scene, tree and measurement, with what it was made with.
+
+    Beside the trees as they are (``experiment`` is ``prediction``) there are rows of the turned
+    scene (``rotation``: degrees about (1, 1, 1)), of other leaf sizes, and of the rays of each
+    bounce and viewpoint alone (``bounce`` 0 and ``viewpoint`` -1 stand for all of the ray set).
+    """
     rows = []
     for r in records:
         environment = r["environment"]
         common = {
             "scene": r["scene"], "triangles": r["triangles"], "digest": r["digest"],
-            "rays": r["rays"]["count"], "seed": r["rays"]["seed"],
+            "seed": r["rays"]["seed"],
             "study_options": json.dumps(r["options"]), "mibvh": environment["mibvh"],
             "mitsuba": environment["packages"]["mitsuba"],
             "drjit": environment["packages"]["drjit"], "llvm": environment["llvm"],
             "variant": environment["variant"], "lane_width": environment["lane_width"],
             "cpu": environment["cpu"], "threads": environment["threads"],
         }  # fmt: skip
-        for tree in r["trees"]:
+        for place, what, values in _measured(r):
+            tree = r["trees"][place]
             for name, unit in UNITS.items():
-                rows.append({
-                    **common, "builder": tree["builder"],
-                    "builder_options": json.dumps(tree["options"]),
-                    "measurement": name, "value": float(tree[name]), "unit": unit,
-                })  # fmt: skip
+                if name in values:
+                    rows.append({
+                        **common, "builder": tree["builder"],
+                        "builder_options": json.dumps(tree["options"]),
+                        "rays": r["rays"]["count"], "experiment": "prediction", "rotation": 0.0,
+                        "max_leaf": tree["options"]["max_leaf"], "bounce": 0, "viewpoint": -1,
+                        **what, "measurement": name, "value": float(values[name]), "unit": unit,
+                    })  # fmt: skip
     return pd.DataFrame(rows)
+
+
+def _measured(record: dict[str, Any]) -> Iterator[tuple[int, dict[str, Any], dict[str, Any]]]:
+    """Yield the place of a tree, what is other than usual, and measurements, of all experiments."""
+    for place, tree in enumerate(record["trees"]):
+        yield place, {}, tree
+    if rotation := record.get("rotation"):
+        for place, tree in enumerate(rotation["trees"]):
+            yield place, {"experiment": "rotation", "rotation": rotation["degrees"]}, tree
+    if sensitivity := record.get("sensitivity"):
+        for place, (tree, sizes, deeper) in enumerate(
+            zip(record["trees"], sensitivity["leaf_sizes"], sensitivity["bounces"], strict=True)
+        ):
+            for size in sizes:
+                what = {name: size[name] for name in ("max_leaf", "rays")}
+                yield place, {"experiment": "leaf size", **what}, size
+            for origin in [*tree["costs_by_origin"], *deeper]:
+                what = {name: origin[name] for name in ("bounce", "viewpoint", "rays")}
+                yield place, {"experiment": "origin", **what}, {"counted_cost": origin["cost"]}
 
 
 def write_tables(folder: Path, records: list[dict[str, Any]], correlations: pd.DataFrame) -> None:

@@ -1,0 +1,292 @@
+"""The experiments of a study beside prediction: rotation, depth, sensitivity; the catalogue."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import soup
+
+import mibvh
+from mibvh.studies import rotation
+from mibvh.studies.catalogue import (
+    find_paper_scene,
+    paper_comparison,
+    paper_scenes,
+    scenes_in,
+    triangle_count_notes,
+)
+from mibvh.studies.depth import (
+    SPLITS,
+    remaining_after_splits,
+    remaining_by_depth,
+    remaining_relative,
+    worst_cases,
+)
+from mibvh.studies.tables import tidy_table
+
+CHOICES = {"width": 24, "height": 16, "scalar_rays": 256, "seconds": 0.0,
+           "builders": ("bbvh", "sbvh", "lbvh")}  # fmt: skip
+ALL = ("prediction", "depth", "rotation", "sensitivity")
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory, cornell):
+    """A study of everything, begun with less: what it found first, its files, the end, progress."""
+    folder = tmp_path_factory.mktemp("experiments")
+    less = mibvh.study([cornell], folder, experiments=("prediction",), **CHOICES)
+    times = {p: p.stat().st_mtime_ns for p in (folder / "cache").glob("[!s]*")}
+    done = []
+    more = mibvh.study([cornell], folder, experiments=ALL,
+                       progress=lambda _, stage, share: done.append(share), **CHOICES)  # fmt: skip
+    return less, times, more, done
+
+
+# ------------------------------------------------------------------ what is run
+
+
+def test_only_what_is_asked_for_is_done(full):
+    record = full[0].scenes[0]
+    assert "rotation" not in record
+    assert "sensitivity" not in record
+    assert "remaining_by_depth" not in record["trees"][0]
+    assert full[0].rotation.empty
+    assert full[0].sensitivity.empty
+    assert full[0].depth.empty
+    with pytest.raises(mibvh.MibvhError, match="no experiment 'oak'; there are: prediction"):
+        mibvh.StudyOptions(experiments=("oak",))
+
+
+def test_more_experiments_leave_alone_what_is_there(full):
+    less, times, more, _ = full
+    assert {p: p.stat().st_mtime_ns for p in times} == times
+    for name in ("sah", "counted_cost", "scalar_ns", "simd_ns"):
+        assert more.table[name].tolist() == less.table[name].tolist()
+
+
+def test_again_recomputes_nothing(full, cornell, monkeypatch):
+    def fail(*_, **__):
+        pytest.fail("something was made again")
+
+    for name in ("pieces.build", "pieces.measure", "pieces.trace", "pieces.overlap",
+                 "run.diffuse_rays", "rotation.measure", "rotation.make_records",
+                 "sensitivity.finish", "sensitivity.diffuse_rays",
+                 "sensitivity.counted_costs"):  # fmt: skip
+        monkeypatch.setattr(f"mibvh.studies.{name}", fail)
+    again = mibvh.study([cornell], full[2].folder, experiments=ALL, **CHOICES)
+    assert again.rotation.equals(full[2].rotation)
+    assert again.sensitivity.equals(full[2].sensitivity)
+
+
+def test_progress_goes_forward_and_ends_at_one(full):
+    assert full[3] == sorted(full[3])
+    assert full[3][-1] == 1.0
+
+
+# ------------------------------------------------------------------ rotation
+
+
+def test_turned_rays_hit_the_same(cornell):
+    rays = mibvh.diffuse_rays(cornell, width=24, height=16)
+    scene, moved = rotation.turned(cornell, rays)
+    for builder in ("bbvh", "sbvh"):
+        hits = [
+            mibvh.trace(mibvh.build(triangles, builder), triangles, r, repeats=1)
+            for triangles, r in ((cornell.triangles, rays), (scene.triangles, moved))
+        ]
+        same = hits[0].triangle == hits[1].triangle
+        assert same.mean() > 0.999  # those on an edge may go either way
+        hit = same & (hits[0].triangle >= 0)
+        np.testing.assert_allclose(hits[0].t[hit], hits[1].t[hit], rtol=1e-3, atol=1e-4)
+
+
+def test_factors_are_one_where_turning_changes_nothing(monkeypatch, tmp_path):
+    """A third of a turn about (1, 1, 1) exchanges the axes: every tree is as it was."""
+    monkeypatch.setattr(rotation, "DEGREES", 120.0)
+    scene = mibvh.load(soup(300))
+    found = mibvh.study([scene], tmp_path, experiments=("rotation",),
+                        **{**CHOICES, "builders": ("bbvh", "agglo", "hill")})  # fmt: skip
+    assert found.scenes[0]["rotation"]["same_hits"] > 0.999
+    for name in ("sah", "epo", "counted_cost", "finite_rays"):
+        np.testing.assert_allclose(found.rotation[name], 1, rtol=2e-3, err_msg=name)
+
+
+def test_factors_of_a_scene_of_walls(full):
+    """Axis-aligned walls lose their thin boxes, and the ends of rays lose more than long rays."""
+    factors, record = full[2].rotation, full[2].scenes[0]
+    assert factors["builder"].tolist() == list(CHOICES["builders"])
+    assert record["rotation"]["same_hits"] > 0.999
+    for i, row in factors.iterrows():
+        tree = record["trees"][i]
+        turned = record["rotation"]["trees"][i]
+        assert row["sah"] == turned["sah"] / tree["sah"]
+        assert row["epo"] == turned["epo"] / tree["epo"]
+        assert row["counted_cost"] == turned["counted_cost"] / tree["counted_cost"]
+        assert row["sah"] < row["counted_cost"]
+        assert row["epo"] > 1
+        assert row["scalar_ns"] > 0
+
+
+def test_rotation_rebuilds_trees(full, cornell):
+    triangles = rotation.turned(cornell, mibvh.diffuse_rays(cornell, width=4, height=4))[0]
+    tree = mibvh.build(triangles.triangles, "lbvh")
+    assert full[2].scenes[0]["rotation"]["trees"][2]["sah"] == mibvh.sah(tree)
+
+
+# ------------------------------------------------------------------ depth
+
+
+@pytest.mark.parametrize("builder", ["bbvh", "lbvh", "sbvh"])
+def test_cuts_against_a_walk(builder):
+    """Each cut is that of a plain recursion, and the deepest is the whole tree."""
+    triangles = soup(200)
+    tree = mibvh.build(triangles, builder)
+
+    def cut(node, levels):
+        area = tree.half_areas[node] / tree.half_areas[0]
+        if levels == 0 or tree.left[node] < 0:
+            return np.array([0.0, tree.count[node] * area])
+        below = sum(cut(tree.left[node] + c, levels - 1) for c in range(2))
+        return below + [1.2 * area, 0.0]
+
+    spent, remaining = remaining_by_depth(tree)
+    for depth in range(tree.depth + 1):
+        np.testing.assert_allclose([spent[depth], remaining[depth]], cut(0, depth), rtol=1e-12)
+    assert remaining[0] == len(tree.references)
+    assert spent[-1] + remaining[-1] == pytest.approx(mibvh.sah(tree), rel=1e-12)
+
+
+def test_splitting_the_largest_first():
+    tree = mibvh.build(soup(200), "bbvh")
+    worst = worst_cases(tree)
+    found = remaining_after_splits(tree)
+    frontier, by_hand = [0], [worst[0]]
+    while inner := [n for n in frontier if tree.left[n] >= 0]:
+        node = max(inner, key=lambda n: worst[n])
+        frontier.remove(node)
+        frontier += [tree.left[node], tree.left[node] + 1]
+        by_hand.append(sum(worst[n] for n in frontier))
+    for splits, value in zip(SPLITS, found, strict=True):
+        if splits < len(by_hand):
+            assert value == pytest.approx(by_hand[splits], rel=1e-12)
+        else:
+            assert value is None
+    assert sum(v is not None for v in found) > 4
+
+
+def test_the_sweep_minimises_what_remains(full):
+    """Of one split no object split leaves less than the full sweep's."""
+    triangles = soup(400)
+    least = remaining_after_splits(mibvh.build(triangles, "bbvh"))[1]
+    for builder in ("lbvh", "agglo", "hill", "treelet"):
+        assert remaining_after_splits(mibvh.build(triangles, builder))[1] >= least * (1 - 1e-9)
+    table = remaining_relative(full[2].scenes)
+    assert (table.loc["bbvh"].dropna() == 1).all()
+    assert table.loc["lbvh", 7] > 1
+
+
+def test_depth_table_adds_up(full):
+    for (_, builder), group in full[2].depth.groupby(["scene", "builder"]):
+        tree = next(t for t in full[2].scenes[0]["trees"] if t["builder"] == builder)
+        assert group["sah"].sum() == pytest.approx(tree["sah"])
+        assert group["epo"].sum() == pytest.approx(tree["epo"])
+        assert group["depth"].tolist() == list(range(tree["depth"] + 1))
+
+
+# ------------------------------------------------------------------ sensitivity
+
+
+def test_own_choices_give_the_study_s_own_r(full):
+    """The leaf size, bounce and viewpoints of the study are among those that are tried."""
+    r = full[2].correlations.query("measurement == 'counted_cost'").set_index("predictor")
+    table = full[2].sensitivity.set_index(["experiment", "choice"])
+    views = full[2].scenes[0]["rays"]["viewpoints"]
+    for case in (("leaf size", 8), ("bounce", 1), ("viewpoints", views)):
+        row = table.loc[case]
+        assert float(row["sah"].iloc[0] if isinstance(row, pd.DataFrame) else row["sah"]) == (
+            pytest.approx(r.loc["SAH", "pearson"], rel=1e-9)
+        )
+    counts = full[2].sensitivity.groupby(["experiment", "choice"]).size()
+    assert counts["viewpoints"].tolist() == [views] * (views - 1) + [1]
+    assert counts["leaf size"].index.tolist() == [1, 2, 4, 8, 16]
+    assert counts["bounce"].index.tolist() == [1, 2, 3]
+
+
+def test_leaf_sizes_and_bounces_against_the_library(full, cornell):
+    found = full[2].scenes[0]["sensitivity"]
+    rays = mibvh.diffuse_rays(cornell, width=24, height=16, samples=1, bounces=3)
+    for i, builder in enumerate(("bbvh", "sbvh")):
+        tree = mibvh.build(cornell.triangles, builder, max_leaf=1)
+        one = found["leaf_sizes"][i][0]
+        assert one["max_leaf"] == 1
+        assert one["mean_leaf_size"] == 1
+        if builder == "bbvh":
+            assert one["sah"] == mibvh.sah(tree)
+            assert one["epo"] == mibvh.epo(tree, cornell.triangles)
+        tree = mibvh.build(cornell.triangles, builder)
+        for entry in found["bounces"][i]:
+            chosen = (rays.bounce == entry["bounce"]) & (rays.viewpoint == entry["viewpoint"])
+            hits = mibvh.trace(tree, cornell.triangles, rays.select(chosen), repeats=1)
+            assert entry["bounce"] > 1
+            assert entry["rays"] == chosen.sum()
+            assert entry["cost"] == pytest.approx(hits.counted_cost(), rel=1e-9)
+
+
+def test_tidy_rows_say_what_they_are_of(full):
+    table = tidy_table(full[2].scenes)
+    record = full[2].scenes[0]
+    plain = table.query("experiment == 'prediction' and measurement == 'sah'")
+    assert plain["value"].tolist() == full[2].table["sah"].tolist()
+    turned = table.query("rotation == 45 and measurement == 'epo' and builder == 'sbvh'")
+    assert turned["value"].tolist() == [record["rotation"]["trees"][1]["epo"]]
+    sizes = table.query("experiment == 'leaf size' and measurement == 'sah' and builder == 'bbvh'")
+    assert sizes["max_leaf"].tolist() == [1, 2, 4, 8, 16]
+    deep = table.query("bounce == 3 and builder == 'lbvh'")
+    assert len(deep) == record["rays"]["viewpoints"]
+    assert (deep["measurement"] == "counted_cost").all()
+    assert table["study_options"].str.contains('"seed": 0').all()
+
+
+# ------------------------------------------------------------------ the paper's scenes
+
+
+def test_catalogue():
+    known = paper_scenes()
+    assert len(known) == 16
+    assert [s.name for s in known] == sorted(s.name for s in known)
+    hairball = find_paper_scene("HairBall")
+    assert (hairball.r_sah, hairball.r_sah_epo, hairball.triangles) == (0.652, 0.992, 2880000)
+    assert find_paper_scene("san_miguel") is find_paper_scene("San-Miguel")
+    assert find_paper_scene("happy_vrip").name == "Buddha"
+    assert find_paper_scene("cornell") is None
+    assert find_paper_scene("arabic").triangles is None
+
+
+def test_triangle_counts_are_checked():
+    assert triangle_count_notes("sibenik", 75284) == []
+    assert triangle_count_notes("cornell", 1) == []
+    assert triangle_count_notes("bubs", 1) == []  # the count is not known
+    (note,) = triangle_count_notes("sibenik", 75282)
+    assert "75,282" in note
+    assert "75,284" in note
+
+
+def test_a_folder_of_scenes(tmp_path):
+    import trimesh
+
+    corners = soup(60).corners
+    trimesh.Trimesh(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3),
+                    process=False).export(tmp_path / "sibenik.ply")  # fmt: skip
+    (tmp_path / "blade").mkdir()
+    (tmp_path / "blade" / "scene.xml").write_text('<scene version="3.0.0"/>')
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "README.txt").write_text("no scene")
+    assert scenes_in(tmp_path) == [tmp_path / "blade" / "scene.xml", tmp_path / "sibenik.ply"]
+    assert scenes_in("cornell@300") == ["cornell@300"]
+    with pytest.raises(mibvh.MibvhError, match="no scene in this folder"):
+        scenes_in(tmp_path / "empty")
+    (tmp_path / "blade" / "scene.xml").unlink()
+    found = mibvh.study([tmp_path], tmp_path / "out", **CHOICES)
+    assert found.table["scene"].unique().tolist() == ["sibenik"]
+    assert any("75,284" in note for note in found.scenes[0]["notes"])
+    row = paper_comparison(found.scenes, found.correlations).iloc[0]
+    assert (row["scene"], row["triangles"], row["expected"]) == ("sibenik", 60, 75284)
+    assert row["paper_r_sah"] is None or np.isnan(row["paper_r_sah"])
