@@ -266,14 +266,13 @@ def study(
 
 def _print_study(result: Any) -> None:
     from mibvh.studies.analyse import overview
-    from mibvh.studies.report import COLUMNS
+    from mibvh.studies.answers import COLUMNS, MAIN
 
     console = Console()
-    shown = [c for c in COLUMNS if c[0] in ("sah", "epo", "lcv", "counted_cost", "scalar_ns",
-                                            "simd_ns", "build_seconds")]  # fmt: skip
+    shown = [c for c in COLUMNS if c[0] in MAIN]
     table = Table("scene", "triangles", "builder", *(title for _, title, _, _ in shown), box=None)
     for _, row in result.table.iterrows():
-        cells = [form.format(row[key]) for key, _, form, _ in shown]
+        cells = [format(row[key], form) for key, _, form, _ in shown]
         table.add_row(row["scene"], f"{row['triangles']:,}", row["builder"], *cells)
     console.print(table)
     console.print()

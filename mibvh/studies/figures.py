@@ -1,4 +1,7 @@
-"""Figures of the report, by matplotlib; text and lines take the colour of the page they are in."""
+"""Figures of the report, by matplotlib; text and lines take the colour of the page they are in.
+
+A figure is a row of panels of one size, so that a page can also set them one below the other.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,13 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
+from xml.etree import ElementTree
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mibvh.metrics.predictor import pearson
@@ -18,11 +24,19 @@ from mibvh.studies.analyse import MEASUREMENTS, column, predictors
 
 #: Stands for "the text colour of the page" until the figure is in it.
 _INK = "#123457"
-#: Colour-blind safe (Okabe and Ito), readable on light and dark.
-_COLOURS = ["#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8C8C00", "#7F7F7F",
-            "#A65ACD", "#C04040"]  # fmt: skip
-#: Separates the text of a tooltip from the mark of one in a group id.
+#: Colour-blind safe (Okabe and Ito), readable on light and dark; shapes and dashes tell them apart
+#: a second time.
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8C8C00", "#8A8A8A",
+           "#A65ACD")  # fmt: skip
+_SHAPES = "oDs^vPXpd"
+_DASHES = ("solid", (0, (4, 1.2)), (0, (1.2, 1)))
+#: Separates the parts of what is said of a point, in its group id: whose it is, and a tooltip.
 _TIP = "tip|"
+#: Width of a panel and room around its axes, in inches: left, right, bottom, top.
+_WIDTH, _MARGINS = 3.6, (0.62, 0.12, 0.48, 0.32)
+#: Where the name of a point may stand, as seen from it; the first that has room is taken.
+_DIRECTIONS = ((1, 0), (-1, 0), (0.7, 0.7), (0.7, -0.7), (-0.7, 0.7), (-0.7, -0.7), (0, 1), (0, -1))
+_SVG = "http://www.w3.org/2000/svg"
 
 
 @contextmanager
@@ -30,34 +44,92 @@ def style() -> Iterator[None]:
     """Matplotlib settings of all figures."""
     with mpl.rc_context({
         "font.size": 9, "axes.spines.top": False, "axes.spines.right": False,
-        "axes.edgecolor": _INK, "axes.labelcolor": _INK, "text.color": _INK, "axes.titlesize": 10,
+        "axes.edgecolor": _INK, "axes.labelcolor": _INK, "text.color": _INK, "axes.titlesize": 9.5,
         "xtick.color": _INK, "ytick.color": _INK, "svg.fonttype": "none", "svg.hashsalt": "mibvh",
         "figure.facecolor": "none", "axes.facecolor": "none", "legend.frameon": False,
-        "font.family": "sans-serif",
+        "font.family": "sans-serif", "axes.linewidth": 0.7, "xtick.major.width": 0.7,
+        "ytick.major.width": 0.7, "axes.grid": True, "grid.color": "#88888833",
+        "grid.linewidth": 0.6, "axes.axisbelow": True,
     }):  # fmt: skip
         yield
 
 
-def builder_colour(builders: list[str], name: str) -> str:
-    """Colour of a builder: by its place in the list."""
-    return _COLOURS[builders.index(name) % len(_COLOURS)]
+def builder_colour(place: int) -> str:
+    """Colour of a builder, by its place in the list."""
+    return COLOURS[place % len(COLOURS)]
+
+
+def _figure(panels: int, height: float = 2.8, bottom: float = 0.0) -> tuple[Figure, list[Axes]]:
+    """A row of panels; margins are fixed, as fitting them to the text takes most of the time."""
+    left, right, low, top = _MARGINS
+    low = bottom or low
+    figure = Figure(figsize=(_WIDTH * panels, height))
+    axes = [
+        figure.add_axes((
+            (i + left / _WIDTH) / panels, low / height,
+            (1 - (left + right) / _WIDTH) / panels, 1 - (low + top) / height,
+        ), gid=f"panel-{i}")
+        for i in range(panels)
+    ]  # fmt: skip
+    return figure, axes
+
+
+def _name(axis: Axes, title: str, x: str, y: str) -> None:
+    """Write title and axis labels at fixed places: finding them takes as long as drawing."""
+    axis.set_title(title, loc="left", y=1.02)
+    box = axis.get_window_extent()
+    inch = axis.figure.dpi
+    axis.set_xlabel(x)
+    axis.set_ylabel(y)
+    axis.xaxis.set_label_coords(0.5, -0.29 * inch / box.height)
+    axis.yaxis.set_label_coords(-0.43 * inch / box.width, 0.5)
 
 
 def svg(figure: Figure) -> str:
-    """Return a figure as SVG to stand inside an HTML page: page-coloured, with tooltips."""
+    """Return a figure as SVG, page-coloured and with tooltips."""
     buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    with style():
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :].replace(_INK, "currentColor")
     return re.sub(
-        rf'id="{re.escape(_TIP)}([^"]*)"', r'class="point" tabindex="0" data-tip="\1"', text
+        rf'id="{re.escape(_TIP)}([^"|]*)\|([^"]*)"',
+        r'class="point" tabindex="0" role="img" data-builder="\1" data-tip="\2" aria-label="\2"',
+        text,
     )
+
+
+def panels(text: str) -> list[str]:
+    """Split a figure's SVG into one per panel, without the names that only matplotlib needs."""
+    ElementTree.register_namespace("", _SVG)
+    ElementTree.register_namespace("xlink", "http://www.w3.org/1999/xlink")
+    root = ElementTree.fromstring(text)
+    whole = next(g for g in root if g.get("id") == "figure_1")
+    axes = [g for g in whole if g.get("id", "").startswith("panel-")]
+    _, _, width, height = map(float, root.attrib["viewBox"].split())
+    for name in ("width", "height"):
+        del root.attrib[name]
+    for child in list(root):
+        if child.tag == f"{{{_SVG}}}metadata":
+            root.remove(child)
+    for group in root.iter(f"{{{_SVG}}}g"):
+        group.attrib.pop("id", None)
+    found = []
+    for i, panel in enumerate(axes):
+        whole[:] = [panel]
+        part = width / len(axes)
+        root.set("viewBox", f"{i * part:g} 0 {part:g} {height:g}")
+        found.append(ElementTree.tostring(root, encoding="unicode"))
+    return found
 
 
 def png(figure: Figure) -> bytes:
     """Return a figure as PNG on white, for slides and papers."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=160, facecolor="white")
+    figure.set_facecolor("white")
+    FigureCanvasAgg(figure)
+    with style():
+        figure.savefig(buffer, format="png", dpi=160, pil_kwargs={"compress_level": 4})
     return buffer.getvalue()
 
 
@@ -72,96 +144,101 @@ def predicted_measured(record: dict[str, Any], measurement: str) -> Figure:
         A key of :data:`mibvh.studies.analyse.MEASUREMENTS`.
     """
     measured = column(record, measurement)
-    builders = [tree["builder"] for tree in record["trees"]]
     both = predictors(record, measurement)
     second = "fitted" if np.isfinite(both["fitted"][0]) else "fixed 0.79"
     with style():
-        figure = Figure(figsize=(7.2, 3.1), layout="constrained")
-        axes = figure.subplots(1, 2, sharey=True)
+        figure, axes = _figure(2)
         for axis, name in zip(axes, ("SAH", second), strict=True):
             alpha, values = both[name]
-            _scatter(axis, record, builders, values, measured, measurement)
+            _scatter(axis, record, values, measured, measurement)
             r = pearson(values, measured)
             label = "SAH" if name == "SAH" else f"SAH + EPO, α = {alpha:.2f}"
-            axis.set_title(f"{label}: r = {r:.3f}" if np.isfinite(r) else label)
-            axis.set_xlabel("predicted cost")
-        axes[0].set_ylabel(f"measured: {MEASUREMENTS[measurement]}")
+            title = f"{label}:  r = {r:.3f}" if np.isfinite(r) else label
+            _name(axis, title, "predicted cost", f"measured: {MEASUREMENTS[measurement]}")
     return figure
 
 
 def _scatter(
-    axis: Axes,
-    record: dict[str, Any],
-    builders: list[str],
-    values: np.ndarray,
-    measured: np.ndarray,
-    measurement: str,
+    axis: Axes, record: dict[str, Any], values: np.ndarray, measured: np.ndarray, measurement: str
 ) -> None:
     if len(values) > 1 and np.ptp(values) > 0:
         slope, intercept = np.polyfit(values, measured, 1)
         ends = np.array([values.min(), values.max()])
         axis.plot(ends, intercept + slope * ends, color="#888888", lw=1, zorder=1)
-    for tree, x, y in zip(record["trees"], values, measured, strict=True):
+    error = measurement.replace("_ns", "_error")
+    for i, (tree, x, y) in enumerate(zip(record["trees"], values, measured, strict=True)):
         name = tree["builder"]
+        noise = f" ±{tree[error]:.1%}" if measurement.endswith("_ns") else ""
         tip = (
-            f"{name}: {MEASUREMENTS[measurement]} {y:.4g}, predicted {x:.4g}, "
+            f"{name}: {MEASUREMENTS[measurement]} {y:.4g}{noise}, predicted {x:.4g}, "
             f"SAH {tree['sah']:.4g}, EPO {tree['epo']:.4g}, LCV {tree['lcv']:.3g}"
         )
-        colour = builder_colour(builders, name)
-        axis.scatter(
-            [x], [y], s=48, color=colour, gid=_TIP + tip, zorder=3, edgecolor="white", lw=0.5
-        )
-    _label_points(axis, builders, values, measured)
-    axis.margins(0.14)
+        axis.plot(
+            [x], [y], _SHAPES[i % len(_SHAPES)], ms=6.5, color=builder_colour(i), zorder=3,
+            mec="white", mew=0.5, gid=f"{_TIP}{name}|{tip}",
+        )  # fmt: skip
+    axis.margins(0.16, 0.1)
+    _label_points(axis, [tree["builder"] for tree in record["trees"]], values, measured)
 
 
 def _label_points(axis: Axes, labels: list[str], x: np.ndarray, y: np.ndarray) -> None:
-    """Name the points: those that nearly coincide together, on alternate sides going up."""
-    spread = np.maximum([np.ptp(x), np.ptp(y)], 1e-12)
-    groups: list[list[int]] = []
-    for i in np.argsort(y):
-        for group in groups:
-            gap = np.abs([x[i] - x[group[0]], y[i] - y[group[0]]]) / spread
-            if gap[0] < 0.08 and gap[1] < 0.05:
-                group.append(i)
-                break
-        else:
-            groups.append([i])
-    for place, group in enumerate(groups):
-        at = group[0]
-        # On the right edge there is no room to the right, nor on the left edge to the left.
-        right = (
-            bool(place % 2)
-            if 0.2 < (x[at] - x.min()) / spread[0] < 0.8
-            else ((x[at] - x.min()) / spread[0] <= 0.2)
-        )
-        at = max(group, key=lambda i: x[i]) if right else min(group, key=lambda i: x[i])
-        axis.annotate(", ".join(labels[i] for i in group), (x[at], y[at]),
-                      xytext=(7 if right else -7, 0), textcoords="offset points",
-                      ha="left" if right else "right", va="center", fontsize=8)  # fmt: skip
+    """Name the points where there is room: near each, clear of the others and their names."""
+    low, high = (np.array(limits) for limits in zip(axis.get_xlim(), axis.get_ylim(), strict=True))
+    box = axis.get_window_extent()
+    size = np.array([box.width, box.height]) * 72 / axis.figure.dpi
+    points = (np.stack([x, y], axis=1) - low) / (high - low) * size
+    marks = np.concatenate([points - 4, points + 4], axis=1)
+    taken: list[np.ndarray] = []
+    for i in np.argsort(points[:, 1]):
+        half = np.array([2.3 * len(labels[i]), 4.5])  # of the text, about
+        others = np.array([*taken, *np.delete(marks, i, axis=0)])
+        places = []
+        for radius in (5, 12, 20, 30):
+            for direction in _DIRECTIONS:
+                centre = points[i] + np.sign(direction) * half + radius * np.array(direction)
+                rectangle = np.concatenate([centre - half, centre + half])
+                outside = np.maximum(-rectangle[:2], 0) + np.maximum(rectangle[2:] - size, 0)
+                cost = 10 * outside.sum() + _overlap(rectangle, others) + radius
+                places.append((cost, radius, centre, rectangle))
+        _, radius, centre, rectangle = min(places, key=lambda place: place[0])
+        taken.append(rectangle)
+        if radius > 5:
+            nearest = np.clip(points[i], rectangle[:2], rectangle[2:])
+            ends = np.stack([points[i], nearest]) / size * (high - low) + low
+            axis.plot(ends[:, 0], ends[:, 1], color="#888888", lw=0.6, zorder=2)
+        x_text, y_text = centre / size * (high - low) + low
+        axis.text(x_text, y_text, labels[i], fontsize=8, ha="center", va="center", zorder=4)
+
+
+def _overlap(one: np.ndarray, many: np.ndarray) -> float:
+    """Area of a rectangle (two corners) that lies in others, summed."""
+    if not len(many):
+        return 0.0
+    edges = np.minimum(one[2:], many[:, 2:]) - np.maximum(one[:2], many[:, :2])
+    return float(np.maximum(edges, 0).prod(axis=1).sum())
 
 
 def by_depth(record: dict[str, Any]) -> Figure:
     """Where in the tree the cost and the overlap sit: SAH and EPO by depth."""
-    builders = [tree["builder"] for tree in record["trees"]]
     with style():
-        figure = Figure(figsize=(7.2, 2.6), layout="constrained")
-        axes = figure.subplots(1, 2)
-        for axis, name, title in zip(
-            axes, ("sah_by_depth", "epo_by_depth"), ("SAH by depth", "EPO by depth"), strict=True
-        ):
-            for tree in record["trees"]:
-                values = np.array(tree[name])
-                axis.plot(values, lw=1.4, color=builder_colour(builders, tree["builder"]),
-                          label=tree["builder"])  # fmt: skip
-            axis.set_title(title)
-            axis.set_xlabel("depth")
-        axes[0].set_ylabel("cost")
-        axes[1].legend(fontsize=7, ncols=2 if len(builders) > 5 else 1)
+        figure, axes = _figure(2, height=2.5)
+        for axis, name in zip(axes, ("sah", "epo"), strict=True):
+            for i, tree in enumerate(record["trees"]):
+                values = np.array(tree[f"{name}_by_depth"])
+                tip = (
+                    f"{tree['builder']}: {name.upper()} {tree[name]:.4g} over {len(values)} "
+                    f"levels, most at depth {values.argmax()}"
+                )
+                axis.plot(
+                    values, lw=1.5, color=builder_colour(i), label=tree["builder"],
+                    ls=_DASHES[i % len(_DASHES)], gid=f"{_TIP}{tree['builder']}|{tip}",
+                )  # fmt: skip
+            _name(axis, f"{name.upper()} by depth", "depth", "cost")
+        axes[1].legend(fontsize=7, ncols=2 if len(record["trees"]) > 5 else 1)
     return figure
 
 
-def summary(table: Any) -> Figure:
+def summary(table: pd.DataFrame) -> Figure:
     """Pearson's r of each predictor, a point per scene, for each measurement.
 
     Parameters
@@ -170,23 +247,26 @@ def summary(table: Any) -> Figure:
         From :func:`mibvh.studies.analyse.correlations`.
     """
     names = list(dict.fromkeys(table["predictor"]))
+    shown = table[table["pearson"].notna()]
     with style():
-        figure = Figure(figsize=(7.2, 3.1), layout="constrained")
-        axes = np.atleast_1d(figure.subplots(1, len(MEASUREMENTS), sharey=True))
+        figure, axes = _figure(len(MEASUREMENTS), height=3.2, bottom=0.82)
         for axis, (measurement, title) in zip(axes, MEASUREMENTS.items(), strict=True):
-            rows = table[(table["measurement"] == measurement) & table["pearson"].notna()]
+            rows = shown[shown["measurement"] == measurement]
             for i, name in enumerate(names):
                 of = rows[rows["predictor"] == name]
-                jitter = np.linspace(-0.12, 0.12, len(of)) if len(of) > 1 else np.zeros(len(of))
-                for (_, row), dx in zip(of.iterrows(), jitter, strict=True):
-                    tip = f"{row['scene']}: r = {row['pearson']:.4f}, {name}, {title}"
-                    colour = _COLOURS[i % len(_COLOURS)]
-                    axis.scatter([i + dx], [row["pearson"]], s=22, color=colour, gid=_TIP + tip)
+                jitter = np.linspace(-0.2, 0.2, len(of)) if len(of) > 1 else np.zeros(len(of))
+                for scene, r, dx in zip(of["scene"], of["pearson"], jitter, strict=True):
+                    tip = f"{scene}: r = {r:.4f}, {name}, {title}"
+                    axis.plot([i + dx], [r], "o", ms=4, color=builder_colour(i), alpha=0.85,
+                              mec="none", gid=f"{_TIP}|{tip}")  # fmt: skip
                 if len(of):
-                    axis.hlines(of["pearson"].mean(), i - 0.3, i + 0.3, color=_INK, lw=1.2)
+                    axis.hlines(of["pearson"].mean(), i - 0.32, i + 0.32, color=_INK, lw=1.3)
             axis.set_xticks(
-                range(len(names)), names, rotation=55, ha="right", rotation_mode="anchor"
+                range(len(names)), names, rotation=45, ha="right", rotation_mode="anchor"
             )
-            axis.set_title(title)
-        axes[0].set_ylabel("Pearson r over the trees")
+            axis.grid(False, axis="x")
+            _name(axis, title, "", "Pearson r over the trees")
+            if len(shown):
+                low = shown["pearson"].min()
+                axis.set_ylim(low - 0.05 * (1 - low), 1 + 0.03 * (1 - low))
     return figure

@@ -1,8 +1,11 @@
-"""The report: one HTML file that works offline, and its figures and tables as files."""
+"""The report: one HTML file that works offline, and its figures as files."""
 
 from __future__ import annotations
 
+import base64
 import functools
+import io
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -11,36 +14,18 @@ import pandas as pd
 
 from mibvh.files import atomic_path, write_text
 from mibvh.studies import figures
-from mibvh.studies.analyse import (
-    MEASUREMENTS,
-    PREDICTORS,
-    calibrate,
-    column,
-    overview,
-    relative_to,
-)
+from mibvh.studies.analyse import MEASUREMENTS, PREDICTORS
+from mibvh.studies.sheet import Sheet
 
-#: What the paper's slides give for Pearson's r over 22 scenes (mean, minimum, maximum).
-PAPER = {"SAH": (0.915, 0.652, 0.998), "fitted": (0.994, 0.988, 0.999),
-         "fixed 0.79": (0.980, 0.886, 0.999)}  # fmt: skip
-#: Columns of the per-builder table: key, heading, format, what it says.
-COLUMNS = [
-    ("sah", "SAH", "{:.2f}", "surface area heuristic"),
-    ("epo", "EPO", "{:.3f}", "end-point overlap"),
-    ("lcv", "LCV", "{:.3f}", "leaf count variability"),
-    ("counted_cost", "counted cost", "{:.2f}", "1.2 per inner node and 1.0 per triangle, per ray"),
-    ("scalar_ns", "scalar ns/ray", "{:.0f}", "kernel time, one lane per packet"),
-    ("simd_ns", "SIMD ns/ray", "{:.0f}", "kernel time, all lanes"),
-    ("inner_per_ray", "inner", "{:.1f}", "inner nodes visited per ray"),
-    ("leaves_per_ray", "leaves", "{:.2f}", "leaves visited per ray"),
-    ("triangles_per_ray", "triangles", "{:.2f}", "triangles tested per ray"),
-    ("lane_utilisation", "lanes busy", "{:.0%}", "active lane-steps over issued ones"),
-    ("nodes", "nodes", "{:,}", "inner nodes and leaves"),
-    ("references", "references", "{:,}", "entries of the leaves"),
-    ("depth", "depth", "{}", "levels"),
-    ("mean_leaf_size", "leaf size", "{:.2f}", "references per leaf"),
-    ("build_seconds", "build s", "{:.2f}", "seconds to build"),
-]
+#: Figures of a scene: file name, what to say below it.
+CAPTIONS = {
+    "counted": "Counted cost per ray against the prediction: no stopwatch, no noise.",
+    "scalar": "Scalar time per ray against the prediction.",
+    "simd": "SIMD time per ray against the prediction.",
+    "depth": "Where in the trees the expected cost and the overlap sit.",
+}
+#: Width of the small pictures, in pixels: twice what is shown, for fine screens.
+_THUMBNAIL = 320
 
 
 @functools.cache
@@ -57,30 +42,39 @@ def _template() -> Any:
     return environment.get_template("report.html")
 
 
-def write_report(folder: Path, records: list[dict[str, Any]], table: pd.DataFrame) -> Path:
-    """Write ``report.html``, and each figure as SVG and PNG under ``figures/``."""
-    drawn = {"summary": figures.summary(table)}
-    for record in records:
-        name = record["scene"]
-        drawn[f"{name}-scalar"] = figures.predicted_measured(record, "scalar_ns")
-        drawn[f"{name}-counted"] = figures.predicted_measured(record, "counted_cost")
-        drawn[f"{name}-depth"] = figures.by_depth(record)
+def write_report(
+    folder: Path,
+    records: list[dict[str, Any]],
+    found: pd.DataFrame,
+    sheets: list[Sheet],
+    of_scenes: list[list[Sheet]],
+) -> Path:
+    """Write ``report.html``, and each figure as SVG and PNG under ``figures/``.
+
+    Parameters
+    ----------
+    folder : Path
+    records : list of dict
+        One per scene.
+    found : DataFrame
+        From :func:`mibvh.studies.analyse.correlations`.
+    sheets : list of Sheet
+        Over the scenes; see :func:`mibvh.studies.answers.answers`.
+    of_scenes : list of list of Sheet
+        Of each scene; see :func:`mibvh.studies.answers.scene_answers`.
+    """
     (folder / "figures").mkdir(exist_ok=True)
-    inline = {}
-    for name, figure in drawn.items():
-        inline[name] = figures.svg(figure)
-        write_text(folder / "figures" / f"{name}.svg", inline[name].replace("currentColor", "#222"))
-        with atomic_path(folder / "figures" / f"{name}.png") as path:
-            path.write_bytes(figures.png(figure))
     page = _template().render(
-        records=records,
-        overview=_overview_rows(overview(table)),
-        scenes=[_scene(record, table, inline) for record in records],
-        summary=inline["summary"],
-        columns=COLUMNS,
+        builders=_builders(records),
+        sections=[
+            (title, list(group)) for title, group in itertools.groupby(sheets, lambda s: s.section)
+        ],
+        scenes=[
+            _scene(folder, record, found, of_scene)
+            for record, of_scene in zip(records, of_scenes, strict=True)
+        ],
+        summary=_draw(folder, "summary", figures.summary(found)),
         predictors=PREDICTORS,
-        calibration={lanes: calibrate(records, f"{lanes}_ns") for lanes in ("scalar", "simd")},
-        relative=_relative(records),
         environment=records[-1]["environment"],
         options=records[-1]["options"],
     )
@@ -89,91 +83,70 @@ def write_report(folder: Path, records: list[dict[str, Any]], table: pd.DataFram
     return target
 
 
-#: The slides' EPO per builder, relative to lbvh.
-PAPER_EPO = {
-    "agglo": 1.07,
-    "anneal": 0.81,
-    "treelet": 0.52,
-    "bbvh": 0.46,
-    "bittner": 0.45,
-    "lbvh": 1.0,
-}
+def _draw(folder: Path, name: str, figure: Any) -> list[str]:
+    """Write a figure's files. Returns the SVG of each of its panels, to stand in the page."""
+    drawn = figures.svg(figure)
+    write_text(folder / "figures" / f"{name}.svg", drawn.replace("currentColor", "#222"))
+    with atomic_path(folder / "figures" / f"{name}.png") as path:
+        path.write_bytes(figures.png(figure))
+    return figures.panels(drawn)
 
 
-def _relative(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows of the table of metrics relative to lbvh, mean over the scenes."""
-    names = ("sah", "epo", "lcv", "counted_cost", "scalar_ns", "simd_ns")
-    columns = [relative_to(records, name) for name in names]
+def _builders(records: list[dict[str, Any]]) -> list[dict[str, str]]:
+    """Name and colour of each builder, in the order of the scene that has most."""
+    most = max(records, key=lambda record: len(record["trees"]))
     return [
-        {
-            "builder": builder,
-            "values": [c.get(builder, float("nan")) for c in columns],
-            "paper": PAPER_EPO.get(builder),
-        }
-        for builder in columns[0].index
+        {"name": tree["builder"], "colour": figures.builder_colour(i)}
+        for i, tree in enumerate(most["trees"])
     ]
 
 
-def _number(value: float, form: str = "{:.3f}") -> str:
-    return form.format(value) if np.isfinite(value) else "–"
-
-
-def _overview_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
-    rows = []
-    for (measurement, predictor), row in table.iterrows():
-        paper = PAPER.get(predictor) if measurement == "scalar_ns" else None
-        rows.append({
-            "measurement": MEASUREMENTS[measurement], "predictor": predictor,
-            "values": [_number(row[c]) for c in ("mean", "min", "max")],
-            "worst": _number(row["worst_error"], "{:.0%}"),
-            "help": PREDICTORS[predictor],
-            "scenes": int(row["scenes"]),
-            "paper": [_number(v) for v in paper] if paper else ["", "", ""],
-        })  # fmt: skip
-    return rows
-
-
-def _scene(record: dict[str, Any], table: pd.DataFrame, inline: dict[str, str]) -> dict[str, Any]:
-    best = {key: column(record, key).min() for key in ("sah", "epo", "lcv", "counted_cost",
-                                                        "scalar_ns", "simd_ns")}  # fmt: skip
-    rows = [
-        [
-            {
-                "text": form.format(tree[key]),
-                "sort": tree[key],
-                "best": key in best and tree[key] == best[key],
-                "error": f"±{tree[key.replace('_ns', '_error')]:.1%}"
-                if key.endswith("_ns")
-                else "",
-            }
-            for key, _, form, _ in COLUMNS
-        ]
-        for tree in record["trees"]
-    ]
-    of = table[table["scene"] == record["scene"]]
+def _scene(
+    folder: Path, record: dict[str, Any], found: pd.DataFrame, sheets: list[Sheet]
+) -> dict[str, Any]:
+    name = record["scene"]
+    drawn = {
+        "counted": figures.predicted_measured(record, "counted_cost"),
+        "scalar": figures.predicted_measured(record, "scalar_ns"),
+        "simd": figures.predicted_measured(record, "simd_ns"),
+        "depth": figures.by_depth(record),
+    }
     return {
-        "name": record["scene"],
+        "name": name,
         "triangles": f"{record['triangles']:,}",
         "rays": f"{record['rays']['count']:,}",
         "viewpoints": record["rays"]["viewpoints"],
         "notes": record["notes"],
         "picture": record["picture"]["png"],
-        "builders": [tree["builder"] for tree in record["trees"]],
-        "rows": rows,
+        "thumbnail": _thumbnail(record["picture"]["png"]),
         "timing": record["timing"],
-        "correlations": [
-            {
-                "measurement": MEASUREMENTS[row["measurement"]],
-                "predictor": row["predictor"],
-                "alpha": _number(row["alpha"], "{:.2f}"),
-                "values": [_number(row[c]) for c in ("pearson", "low", "high", "held_out",
-                                                     "without_worst", "spearman", "kendall")],
-                "worst": _number(row["worst_error"], "{:.1%}"),
-                "trees": row["trees"],
-            }
-            for _, row in of.iterrows()
+        "sheets": sheets,
+        "r": _headline(found[found["scene"] == name]),
+        "figures": [
+            (CAPTIONS[key], _draw(folder, f"{name}-{key}", figure)) for key, figure in drawn.items()
         ],
-        "scalar": inline[f"{record['scene']}-scalar"],
-        "counted": inline[f"{record['scene']}-counted"],
-        "depth": inline[f"{record['scene']}-depth"],
-    }  # fmt: skip
+    }
+
+
+def _headline(found: pd.DataFrame) -> list[tuple[str, str, str]]:
+    """Of each measurement: its name, r of SAH, and r with EPO (α fitted)."""
+    r = found.set_index(["measurement", "predictor"])["pearson"]
+    return [
+        (title, _r(r[measurement, "SAH"]), _r(r[measurement, "fitted"]))
+        for measurement, title in MEASUREMENTS.items()
+    ]
+
+
+def _r(value: float) -> str:
+    return f"{value:.3f}" if np.isfinite(value) else "–"
+
+
+def _thumbnail(png: str) -> str:
+    """A picture, base64-encoded, as a small JPEG."""
+    from PIL import Image
+
+    picture = Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")
+    picture.thumbnail((_THUMBNAIL, _THUMBNAIL))
+    buffer = io.BytesIO()
+    picture.save(buffer, "JPEG", quality=82)
+    return base64.b64encode(buffer.getvalue()).decode()

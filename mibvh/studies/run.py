@@ -235,15 +235,18 @@ def _picture(scene: Scene) -> dict[str, Any]:
 def write_outputs(folder: Path, records: list[dict[str, Any]]) -> None:
     """Write the tables, the environment and the report of the scenes that are finished."""
     from mibvh.studies.analyse import correlations
-    from mibvh.studies.markdown import write_markdown
+    from mibvh.studies.answers import answers, scene_answers
     from mibvh.studies.report import write_report
-    from mibvh.studies.tables import write_tables
+    from mibvh.studies.tables import write_sheets, write_tables
 
     found = correlations(records)
+    sheets = answers(records, found)
+    of_scenes = [scene_answers(record, found) for record in records]
     write_tables(folder, records, found)
+    write_sheets(folder, [*sheets, *(sheet for scene in of_scenes for sheet in scene)])
     write_text(folder / "environment.json", json.dumps(records[-1]["environment"], indent=2))
-    write_text(folder / "results.md", write_markdown(records, found))
-    write_report(folder, records, found)
+    write_text(folder / "results.md", "\n".join(sheet.markdown() for sheet in sheets))
+    write_report(folder, records, found, sheets, of_scenes)
 
 
 def read_study(folder: str | os.PathLike[str]) -> Study:

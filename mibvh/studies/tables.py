@@ -1,4 +1,4 @@
-"""The study's tables: one tidy, one for people."""
+"""The study's tables as files: one tidy, one per tree, and those that people read."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 
 import pandas as pd
 
-from mibvh.files import atomic_path
+from mibvh.files import atomic_path, write_text
+from mibvh.studies.sheet import Sheet
 
 #: Measurements of a tree and their units, in the order of the tables.
 UNITS = {
@@ -109,3 +110,12 @@ def write_tables(folder: Path, records: list[dict[str, Any]], correlations: pd.D
     for name, table in (("results", wide_table(records)), ("correlations", correlations)):
         with atomic_path(folder / f"{name}.csv") as path:
             table.to_csv(path, index=False)
+
+
+def write_sheets(folder: Path, sheets: list[Sheet]) -> None:
+    """Write tables for people under ``tables/``: the values as CSV, the text as LaTeX."""
+    (folder / "tables").mkdir(exist_ok=True)
+    for sheet in sheets:
+        with atomic_path(folder / "tables" / f"{sheet.name}.csv") as path:
+            sheet.frame.to_csv(path, index=False)
+        write_text(folder / "tables" / f"{sheet.name}.tex", sheet.latex())

@@ -1,0 +1,105 @@
+"""The report's tables, in every form, and its figures as files."""
+
+import csv
+import io
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import mibvh
+from mibvh.studies.sheet import Sheet
+
+BUILDERS = ("bbvh", "lbvh", "hill", "treelet")
+SHEET = Sheet(
+    name="costs",
+    section="Costs",
+    title="Costs of 100% & more",
+    note="With α = 0.5.",
+    frame=pd.DataFrame({
+        "builder": ["a_b", "c"], "cost": [2.5, 1.25], "error": [0.011, np.nan],
+        "held": [True, False], "none": [np.nan, 3.0],
+    }),
+    formats={"cost": ".2f"},
+    errors={"cost": "error"},
+    best=("cost",),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, cornell):
+    return mibvh.study(
+        [cornell, "hairball@3000"], tmp_path_factory.mktemp("report"), builders=BUILDERS,
+        width=24, height=16, scalar_rays=256, seconds=0.0,
+    )  # fmt: skip
+
+
+def test_cells():
+    assert SHEET.heads == ["builder", "cost", "held", "none"]
+    assert [[c.text for c in row] for row in SHEET.rows()] == [
+        ["a_b", "2.50", "yes", "–"],
+        ["c", "1.25", "no", "3"],
+    ]
+    first, second = (row[1] for row in SHEET.rows())
+    assert (first.sort, first.error, first.best) == (2.5, "±1.1%", False)
+    assert (second.error, second.best) == ("", True)
+
+
+def test_markdown():
+    assert SHEET.markdown().splitlines() == [
+        "### Costs of 100% & more", "", "With α = 0.5.", "",
+        "| builder | cost | held | none |",
+        "| --- | ---: | ---: | ---: |",
+        "| a_b | 2.50 | yes | – |",
+        "| c | 1.25 | no | 3 |",
+    ]  # fmt: skip
+
+
+def test_latex():
+    assert SHEET.latex().splitlines() == [
+        r"% needs \usepackage{booktabs}",
+        r"\begin{table}",
+        r"\centering",
+        r"\caption{Costs of 100\% \& more. With $\alpha$ = 0.5.}",
+        r"\label{tab:costs}",
+        r"\begin{tabular}{lrrr}",
+        r"\toprule",
+        r"builder & cost & held & none \\",
+        r"\midrule",
+        r"a\_b & 2.50 & yes & -- \\",
+        r"c & \textbf{1.25} & no & 3 \\",
+        r"\bottomrule",
+        r"\end{tabular}",
+        r"\end{table}",
+    ]
+
+
+@pytest.mark.parametrize("name", ["overview-counted_cost", "trees", "stopwatch"])
+def test_table_files(finished, name):
+    rows = list(csv.DictReader(io.StringIO((finished.folder / f"tables/{name}.csv").read_text())))
+    latex = (finished.folder / f"tables/{name}.tex").read_text()
+    body = latex[latex.index("\\midrule") : latex.index("\\bottomrule")]
+    assert body.count(r"\\") == len(rows)
+    assert latex.isascii()
+    columns = re.search(r"\\begin{tabular}{(\w+)}", latex).group(1)
+    assert {line.count(" & ") for line in body.splitlines()[1:]} == {len(columns) - 1}
+
+
+def test_figure_files(finished):
+    scene = finished.scenes[0]["scene"]
+    for name in ("counted", "scalar", "simd", "depth"):
+        assert (finished.folder / f"figures/{scene}-{name}.png").stat().st_size > 5000
+        drawn = (finished.folder / f"figures/{scene}-{name}.svg").read_text()
+        assert "currentColor" not in drawn
+        assert drawn.count('data-builder="lbvh"') == 2  # once per panel
+
+
+def test_the_page_stands_alone(finished):
+    page = finished.report.read_text()
+    for text in ("cornell", "hairball", "<svg", "data-tip", "data:image/png;base64,"):
+        assert text in page
+    assert not re.findall(r"""(?:src|href)=["'](?!#|data:)|url\((?!#)|@import|fetch\(""", page)
+    inside = set(re.findall(r'id="([^"]+)"', page))
+    assert set(re.findall(r'href="#([^"]+)"', page)) <= inside
+    assert set(re.findall(r"url\(#([^)]+)\)", page)) <= inside
