@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
     from mibvh.errors import MibvhError
     from mibvh.metrics.epo import epo, epo_per_depth, epo_per_node
+    from mibvh.metrics.lines import RayLines, ray_lines
     from mibvh.metrics.points import Estimate, RayEnds, ray_ends
     from mibvh.metrics.sah import sah, sah_per_node
     from mibvh.rays import RaySet, diffuse_rays
@@ -32,6 +33,7 @@ _PUBLIC = {
     "MibvhError": "mibvh.errors",
     "Options": "mibvh.builders",
     "RayEnds": "mibvh.metrics.points",
+    "RayLines": "mibvh.metrics.lines",
     "RaySet": "mibvh.rays",
     "References": "mibvh.builders",
     "Scene": "mibvh.scene",
@@ -48,6 +50,7 @@ _PUBLIC = {
     "load": "mibvh.scene",
     "option": "mibvh.builders",
     "ray_ends": "mibvh.metrics.points",
+    "ray_lines": "mibvh.metrics.lines",
     "rotation_about": "mibvh.triangles",
     "sah": "mibvh.metrics.sah",
     "sah_per_node": "mibvh.metrics.sah",
@@ -63,6 +66,7 @@ __all__ = [
     "MibvhError",
     "Options",
     "RayEnds",
+    "RayLines",
     "RaySet",
     "References",
     "Scene",
@@ -80,6 +84,7 @@ __all__ = [
     "load",
     "option",
     "ray_ends",
+    "ray_lines",
     "rotation_about",
     "sah",
     "sah_per_node",

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import typing
+
 import numpy as np
 
 from mibvh.tree import Tree
 from mibvh.triangles import F64
+
+if typing.TYPE_CHECKING:
+    from mibvh.metrics.lines import RayLines
+    from mibvh.metrics.points import Estimate
 
 
 def node_costs(tree: Tree, c_inner: float | None = None, c_tri: float | None = None) -> F64:
@@ -39,7 +45,17 @@ def sah_per_node(tree: Tree, c_inner: float | None = None, c_tri: float | None =
     return node_costs(tree, c_inner, c_tri) * ratio
 
 
-def sah(tree: Tree, c_inner: float | None = None, c_tri: float | None = None) -> float:
+@typing.overload
+def sah(tree: Tree, c_inner: float | None = None, c_tri: float | None = None) -> float: ...
+@typing.overload
+def sah(tree: Tree, *, ray_lines: RayLines) -> Estimate: ...
+def sah(
+    tree: Tree,
+    c_inner: float | None = None,
+    c_tri: float | None = None,
+    *,
+    ray_lines: RayLines | None = None,
+) -> float | Estimate:
     """Expected cost of a long random ray, by the surface area heuristic.
 
     Parameters
@@ -47,10 +63,18 @@ def sah(tree: Tree, c_inner: float | None = None, c_tri: float | None = None) ->
     tree : Tree
     c_inner, c_tri : float, optional
         By default what the tree was built with, or the paper's 1.2 and 1.0.
+    ray_lines : RayLines, optional
+        The lines that rays lie on (:func:`mibvh.ray_lines`): average over these instead of
+        lines of even place and direction.
 
     Returns
     -------
-    float
-        In units of the cost constants.
+    float or Estimate
+        In units of the cost constants; with ``ray_lines`` (and the tree's own constants), an
+        estimate with its standard error.
     """
+    if ray_lines is not None:
+        from mibvh.metrics.lines import sah_of_lines  # needs the node costs of this file
+
+        return sah_of_lines(tree, ray_lines)
     return float(sah_per_node(tree, c_inner, c_tri).sum())

@@ -37,7 +37,10 @@ PREDICTORS = {
     "fixed best": "(1 − α) SAH + α EPO, the α of greatest mean r over these scenes",
     "estimated": "(1 − α) SAH + α EPO, α from the rays' mean length; no tree is measured",
     "ray ends": "(1 − α) SAH + α EPO at the rays' starts and ends, α fitted",
+    "ray lines": "(1 − α) SAH of the rays' lines + α EPO at their starts and ends, α fitted",
     "finite rays": "s SAH + point query at the rays' starts; nothing is fitted",
+    "finite by lines": "the same with the SAH of the rays' lines; nothing is fitted",
+    "touched": "all nodes that rays touch up to their hits: the least that a traversal visits",
     "with LCV": "(1 − α) SAH + α EPO + β LCV, α and β fitted to the scene's trees",
     "LCV fixed": "the same, α fitted, the β of greatest mean r over these scenes",
     "LCV from others": "the same, α fitted, the β of greatest mean r over the other scenes",
@@ -115,7 +118,10 @@ def predictors(
     """Alpha (NaN where there is none) and prediction of each of :data:`PREDICTORS`."""
     pooled = pooled or Pooled()
     sah, epo, lcv, measured = (column(record, name) for name in ("sah", "epo", "lcv", measurement))
-    share, ratio = (float(column(record, name)[0]) for name in ("hit_share", "length_ratio"))
+    of_lines, query = (column(record, name) for name in ("sah_lines", "point_query"))
+    share, ratio, line_share = (
+        float(column(record, name)[0]) for name in ("hit_share", "length_ratio", "line_share")
+    )
     at_ends = column(record, "epo_starts") + share * column(record, "epo_ends")
     alphas = {
         "SAH": 0.0,
@@ -127,7 +133,11 @@ def predictors(
     found = {name: (alpha, predict(sah, epo, alpha)) for name, alpha in alphas.items()}
     of_ends = fit_alpha(sah, at_ends, measured)
     found["ray ends"] = (of_ends, predict(sah, at_ends, of_ends))
-    found["finite rays"] = (_NONE, finite_ray_cost(sah, column(record, "point_query"), ratio))
+    on_lines = fit_alpha(of_lines, at_ends, measured)
+    found["ray lines"] = (on_lines, predict(of_lines, at_ends, on_lines))
+    found["finite rays"] = (_NONE, finite_ray_cost(sah, query, ratio))
+    found["finite by lines"] = (_NONE, finite_ray_cost(of_lines, query, line_share))
+    found["touched"] = (_NONE, column(record, "touched"))
     columns = [sah, epo, lcv]
     enough = len(measured) > len(columns) + 1
     combined = fitted_combination(columns, measured) if enough else np.full(len(measured), _NONE)

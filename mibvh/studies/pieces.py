@@ -10,9 +10,10 @@ import numpy as np
 
 from mibvh.builders import build, get
 from mibvh.metrics.epo import overlap
+from mibvh.metrics.lines import line_costs, ray_lines
 from mibvh.metrics.points import point_costs, ray_ends
 from mibvh.metrics.predictor import path_length_ratio
-from mibvh.metrics.sah import node_costs, sah_per_node
+from mibvh.metrics.sah import node_costs, sah, sah_per_node
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
 from mibvh.studies.options import StudyOptions
@@ -26,6 +27,8 @@ from mibvh.variant import mitsuba
 
 #: Groups of rays over which a tree's mean cost is kept, for the bootstrap.
 _RAY_GROUPS = 64
+#: Rays whose lines are followed through a tree: some microseconds each, for an error of 1%.
+_LINES = 10_000
 
 
 def study_tree(
@@ -44,7 +47,7 @@ def study_tree(
     report("metrics", 0.5)
     row = kept(store, f"metrics-{key}", functools.partial(tree_metrics, tree, scene))
     report("count", 0.8)
-    counts_key = key_of(tree=key, rays=rays_key, cull=options.cull, format=2)
+    counts_key = key_of(tree=key, rays=rays_key, cull=options.cull, lines=_LINES, format=3)
     make = functools.partial(ray_counts, tree, scene, rays, options)
     counts = kept(store, f"counts-{counts_key}", make)
     return key, tree, {"builder": name, **row, **counts}
@@ -110,7 +113,7 @@ def tree_metrics(tree: Tree, scene: Scene) -> dict[str, Any]:
 
 
 def ray_counts(tree: Tree, scene: Scene, rays: RaySet, options: StudyOptions) -> dict[str, Any]:
-    """Counters of the rays through a tree, and its point queries where they begin and end."""
+    """Counters of the rays through a tree, its point queries at their ends, and their lines."""
     hits = trace(tree, scene.triangles, rays, "simd", cull=options.cull, repeats=1)
     summary = hits.summary()
     kept = ("hits", "inner_per_ray", "leaves_per_ray", "triangles_per_ray", "lcv",
@@ -122,6 +125,8 @@ def ray_counts(tree: Tree, scene: Scene, rays: RaySet, options: StudyOptions) ->
     starts, ends = ray_ends(scene.triangles, rays, hits)
     at_starts = point_costs(tree, scene.triangles, starts.points, starts.triangle)
     at_ends = point_costs(tree, scene.triangles, ends.points, ends.triangle)
+    lines = ray_lines(scene.triangles, rays, hits, _LINES)
+    of_lines = sah(tree, ray_lines=lines)
     return {
         **{name: summary[name] for name in kept},
         "counted_cost": hits.counted_cost(c_inner, c_tri),
@@ -132,6 +137,10 @@ def ray_counts(tree: Tree, scene: Scene, rays: RaySet, options: StudyOptions) ->
         "epo_starts_error": _standard_error(at_starts[:, 0]),
         "epo_ends": float(at_ends[:, 0].mean()) if len(ends) else 0.0,
         "point_query": float(at_starts.sum(axis=1).mean()),
+        "sah_lines": of_lines.value,
+        "sah_lines_error": of_lines.standard_error,
+        "line_share": float(lines.share.mean()),
+        "touched": float(line_costs(tree, lines, whole=False).mean()),
         "hit_share": ends.share,
         "length_ratio": path_length_ratio(scene.triangles, rays, hits),
     }

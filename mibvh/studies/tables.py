@@ -21,6 +21,8 @@ UNITS = {
     "epo_starts": "cost",
     "epo_ends": "cost",
     "point_query": "cost",
+    "sah_lines": "cost",
+    "touched": "cost",
     "lcv": "leaves",
     "scalar_ns": "ns/ray",
     "simd_ns": "ns/ray",
