@@ -198,7 +198,7 @@ def _from_shapes(
     parts: list[F32] = []
     notes: list[str] = []
     # The order of shapes() may differ between loads; triangle ids must not.
-    for shape in sorted(shapes, key=_shape_key):
+    for shape in sorted(shapes, key=shape_key):
         corners, note = _shape_triangles(shape)
         if note:
             notes.append(note)
@@ -214,9 +214,22 @@ def _from_shapes(
     return _with_viewpoints(Scene(name, triangles, list(scene.sensors()), original, notes))
 
 
-def _shape_key(shape: Any) -> tuple[Any, ...]:
+def shape_key(shape: Any) -> tuple[Any, ...]:
+    """Sort key of a Mitsuba shape, the same in every load."""
     box = shape.bbox()
     return (shape.id(), shape.primitive_count(), *np.array(box.min), *np.array(box.max))
+
+
+def shape_kind(shape: Any) -> str:
+    """Mitsuba's name of a shape's class, such as ``Sphere``."""
+    return str(shape).split("[")[0].strip()
+
+
+def mesh_corners(mesh: Any) -> F32:
+    """(N, 3, 3) float32: the triangles of a Mitsuba mesh, in the order of its faces."""
+    vertices = np.array(mesh.vertex_positions_buffer(), dtype=np.float32).reshape(-1, 3)
+    faces = np.array(mesh.faces_buffer(), dtype=np.int64).reshape(-1, 3)
+    return vertices[faces]
 
 
 def _transformed(corners: F32, matrix: np.ndarray) -> F32:
@@ -228,13 +241,11 @@ def _shape_triangles(shape: Any) -> tuple[F32 | None, str]:
     """Triangles of a shape, and a note where it is no mesh."""
     from mibvh.tessellate import tessellate
 
-    kind = str(shape).split("[")[0].strip()
+    kind = shape_kind(shape)
     if shape.is_mesh():
         if shape.face_count() == 0:
             return None, f"{kind} {shape.id()!r} has no faces"
-        vertices = np.array(shape.vertex_positions_buffer(), dtype=np.float32).reshape(-1, 3)
-        faces = np.array(shape.faces_buffer(), dtype=np.int64).reshape(-1, 3)
-        return vertices[faces], ""
+        return mesh_corners(shape), ""
     corners = tessellate(kind, shape)
     if corners is None:
         return None, f"{kind} {shape.id()!r} is not made of triangles and was left out"

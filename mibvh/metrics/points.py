@@ -275,17 +275,33 @@ def ray_ends(triangles: Any, rays: Any, hits: Any) -> tuple[RayEnds, RayEnds]:
     left_from = np.flatnonzero(rays.source >= 0)
     hit = np.flatnonzero(hits.triangle >= 0)
     at = rays.o[hit].astype(np.float64) + rays.d[hit].astype(np.float64) * hits.t[hit, None]
+    starts, ends = rays.source[left_from], hits.triangle[hit]
     return (
-        _on_surface(triangles, rays.o[left_from], rays.source[left_from], len(rays)),
-        _on_surface(triangles, at, hits.triangle[hit], len(rays)),
+        _ray_ends(on_surface(triangles, rays.o[left_from], starts), starts, len(rays)),
+        _ray_ends(on_surface(triangles, at, ends), ends, len(rays)),
     )
 
 
-def _on_surface(triangles: Triangles, near: Any, ids: I32, rays: int) -> RayEnds:
+def _ray_ends(points: F64, ids: I32, rays: int) -> RayEnds:
+    return RayEnds(points, np.ascontiguousarray(ids, np.int32), rays)
+
+
+def on_surface(triangles: Triangles, near: Any, ids: I32) -> F64:
     """Move points that lie on triangles up to roundings into them.
 
     Boxes are closed and flat ones common: a point off its wall by a rounding would miss every
     box whose face the wall is.
+
+    Parameters
+    ----------
+    triangles : Triangles
+    near : (P, 3) float
+    ids : (P,) int32
+        The triangle that each point lies on.
+
+    Returns
+    -------
+    (P, 3) float64
     """
     a, b, c = np.moveaxis(triangles.corners[ids].astype(np.float64), 1, 0)
     e1, e2, p = b - a, c - a, near - a
@@ -296,8 +312,7 @@ def _on_surface(triangles: Triangles, near: Any, ids: I32, rays: int) -> RayEnds
         u = np.clip(np.nan_to_num((d22 * p1 - d12 * p2) / determinant), 0, 1)
         v = np.clip(np.nan_to_num((d11 * p2 - d12 * p1) / determinant), 0, 1)
     over = np.maximum(u + v, 1)
-    points = barycentric(triangles, ids, u / over, v / over)
-    return RayEnds(points, np.ascontiguousarray(ids, np.int32), rays)
+    return barycentric(triangles, ids, u / over, v / over)
 
 
 def epo_at_ends(tree: Tree, triangles: Any, ends: RayEnds) -> Estimate:

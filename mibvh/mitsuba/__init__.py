@@ -1,0 +1,29 @@
+"""At home in Mitsuba: ``import mibvh.mitsuba`` registers the integrators of ``plugins/``.
+
+They are then known to scene XML and dicts like Mitsuba's own, in every variant that is set
+before or after:
+
+- ``bvh_path``: a path tracer whose every ray goes through a tree of mibvh's
+- ``bvh_cost``: heat maps of what the rays of the camera cost in a tree, or in two
+
+Examples
+--------
+>>> import mitsuba as mi
+>>> import mibvh.mitsuba
+>>> if mi.variant() is None:
+...     _ = mi.set_variant("llvm_ad_rgb")
+>>> scene = mi.load_dict(mi.cornell_box())
+>>> path = mi.load_dict({"type": "bvh_path", "builder": "sbvh", "max_leaf": 4})
+>>> mi.render(scene, integrator=path, spp=1).shape
+(256, 256, 3)
+"""
+
+from __future__ import annotations
+
+from mibvh.mitsuba.accelerator import Accelerator
+from mibvh.mitsuba.heatmap import cost_figure, image_channels
+from mibvh.mitsuba.register import PLUGINS, register
+
+__all__ = ["PLUGINS", "Accelerator", "cost_figure", "image_channels", "register"]
+
+register()

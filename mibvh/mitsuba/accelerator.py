@@ -1,0 +1,202 @@
+"""A tree of mibvh's in the place of a Mitsuba scene's own acceleration structure."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from mibvh.errors import MibvhError
+from mibvh.mitsuba.parameters import Builder
+from mibvh.scene import mesh_corners, shape_key, shape_kind
+from mibvh.traversal.kernel import walk
+from mibvh.traversal.records import make_records, own_memory
+from mibvh.tree import Tree
+from mibvh.triangles import Triangles
+from mibvh.variant import mitsuba
+
+_NONE = 0xFFFFFFFF
+
+
+class Accelerator:
+    """Intersects the rays of a Mitsuba scene with a tree.
+
+    Its functions take and return what those of ``mitsuba.Scene`` do, and may be called inside
+    of Dr.Jit's symbolic loops. Meshes and rectangles are in the tree. Every other shape (spheres,
+    curves, SDF grids, instances, ...) is named in a warning, and traced by Mitsuba beside it.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+    builder : str
+        A name from ``mibvh builders``.
+    progress : callable, optional
+        Called as ``progress(stage, done)`` while the tree is built.
+    **options
+        The builder's.
+
+    Attributes
+    ----------
+    triangles : Triangles
+    tree : Tree
+
+    Raises
+    ------
+    MibvhError
+        If there is no triangle in the scene, or for an unknown builder or option.
+    """
+
+    def __init__(
+        self, scene: Any, builder: str = "sbvh", *, progress: Any = None, **options: Any
+    ) -> None:
+        import drjit as dr
+
+        mi = mitsuba()
+        shapes = sorted(scene.shapes(), key=shape_key)
+        shapes = [s for s in shapes if not (s.is_mesh() and s.face_count() == 0)]
+        meshes = [shape for shape in shapes if holds(shape)]
+        others = [shape for shape in shapes if not holds(shape)]
+        if not meshes:
+            raise MibvhError("there is no mesh in the scene to build a tree for")
+        parts = [mesh_corners(shape) for shape in meshes]
+        self.triangles = Triangles(np.concatenate(parts), "scene")
+        self.tree: Tree = Builder(builder, tuple(sorted(options.items()))).build(
+            self.triangles, progress
+        )
+        self._records = make_records(self.tree, self.triangles)
+        self._corners = own_memory(self.triangles.corners)
+        # -- from triangle ids to Mitsuba's shapes and primitives
+        counts = [len(part) for part in parts]
+        first = np.cumsum([0, *counts[:-1]])
+        pointers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]) for s in meshes]
+        self._shape = mi.UInt32(np.repeat(pointers, counts).astype(np.uint32))
+        self._first = mi.UInt32(np.repeat(first, counts).astype(np.uint32))
+        dr.eval(self._shape, self._first)
+        # Instances cannot be taken out of their scene. All of it is traced then, and what Mitsuba
+        # hits in the tree's meshes is left to the tree.
+        self._all_traced = any(shape_kind(shape) == "Instance" for shape in others)
+        self._others = scene if self._all_traced else _scene_of(others) if others else None
+        if others:
+            warnings.warn(
+                f"a tree of triangles cannot hold {_named(others)}: Mitsuba traces that beside "
+                "the tree",
+                stacklevel=2,
+            )
+
+    def intersect(self, ray: Any, active: Any = True) -> Any:
+        """Find the closest hit of each ray.
+
+        Parameters
+        ----------
+        ray : mitsuba.Ray3f
+        active : Bool
+
+        Returns
+        -------
+        mitsuba.PreliminaryIntersection3f
+        """
+        import drjit as dr
+
+        mi = mitsuba()
+        o, d, tmax, active = self._spread(ray, active)
+        if self._others is not None:
+            other = self._others.ray_intersect_preliminary(ray, coherent=False, active=active)
+            if self._all_traced:
+                other.valid &= (other.instance != None) | ~_in_tree(other.shape)  # noqa: E711
+                other.t = dr.select(other.valid, other.t, dr.inf)
+            tmax = dr.select(other.is_valid(), other.t, tmax)
+        t, triangle = self._walk(o, d, tmax, active, any_hit=False)
+        valid = active & (triangle != _NONE)
+        pi = dr.zeros(mi.PreliminaryIntersection3f, dr.width(o))
+        pi.valid = valid
+        pi.t = dr.select(valid, t, dr.inf)
+        pi.prim_index = triangle - dr.gather(mi.UInt32, self._first, triangle, valid)
+        pi.prim_index = dr.select(valid, pi.prim_index, 0)
+        shape = dr.gather(mi.UInt32, self._shape, triangle, valid)
+        pi.shape = dr.reinterpret_array(mi.ShapePtr, shape)
+        pi.prim_uv = self._barycentric(o, d, triangle, valid)
+        if self._others is not None:
+            pi = dr.select(valid, pi, other)
+        return pi
+
+    def occluded(self, ray: Any, active: Any = True) -> Any:
+        """Tell which rays hit anything: shadow rays, that end at the first hit found.
+
+        Parameters
+        ----------
+        ray : mitsuba.Ray3f
+        active : Bool
+
+        Returns
+        -------
+        Bool
+        """
+        o, d, tmax, active = self._spread(ray, active)
+        _, triangle = self._walk(o, d, tmax, active, any_hit=True)
+        hit = active & (triangle != _NONE)
+        if self._others is not None:
+            hit |= self._others.ray_test(ray, active & ~hit)
+        return hit
+
+    def _walk(self, o: Any, d: Any, tmax: Any, active: Any, any_hit: bool) -> tuple[Any, Any]:
+        scale = self._records.scale
+        t, triangle, *_ = walk(
+            self._records, o * scale, d, tmax * scale, active,
+            cull=True, count=False, any_hit=any_hit,
+        )  # fmt: skip
+        return t / scale, triangle
+
+    @staticmethod
+    def _spread(ray: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+        """Give the parts of a ray the same width: the kernel's stack needs it."""
+        import drjit as dr
+
+        mi = mitsuba()
+        n = max(dr.width(ray), dr.width(active))
+        o, d = mi.Point3f(ray.o), mi.Vector3f(ray.d)
+        tmax, active = mi.Float(ray.maxt), mi.Bool(active)
+        if n > 1:
+            every = dr.arange(mi.UInt32, n) < n
+            o, d = dr.select(every, o, 0), dr.select(every, d, 0)
+            tmax, active = dr.select(every, tmax, 0), active & every
+        return o, d, tmax, active
+
+    def _barycentric(self, o: Any, d: Any, triangle: Any, valid: Any) -> Any:
+        """Coordinates of the hit in its triangle, as of Moeller and Trumbore (1997)."""
+        import drjit as dr
+
+        mi = mitsuba()
+        a, b, c = (dr.gather(mi.Point3f, self._corners, triangle * 3 + i, valid) for i in range(3))
+        e1, e2, s = b - a, c - a, o - a
+        p, q = dr.cross(d, e2), dr.cross(s, e1)
+        inverse = dr.rcp(dr.dot(e1, p))
+        return dr.select(valid, mi.Point2f(dr.dot(s, p), dr.dot(d, q)) * inverse, 0)
+
+
+def holds(shape: Any) -> bool:
+    """Whether a tree of triangles holds a shape exactly as Mitsuba traces it."""
+    return bool(shape.is_mesh() and _in_tree(shape))
+
+
+def _in_tree(shape: Any) -> Any:
+    """Whether a shape, or a lane's, is of a type that trees hold."""
+    mi = mitsuba()
+    kind = shape.shape_type()
+    return (kind == int(mi.ShapeType.Mesh)) | (kind == int(mi.ShapeType.Rectangle))
+
+
+def _scene_of(shapes: list[Any]) -> Any:
+    """Make a Mitsuba scene of shapes that stay what and where they are."""
+    mi = mitsuba()
+    ids = [shape.id() for shape in shapes]
+    scene = mi.load_dict({"type": "scene", **{f"shape_{i}": s for i, s in enumerate(shapes)}})
+    for shape, name in zip(shapes, ids, strict=True):
+        shape.set_id(name)  # it was given that of the dict
+    return scene
+
+
+def _named(shapes: list[Any]) -> str:
+    """Name the first few of some shapes."""
+    names = ", ".join(f"{shape_kind(s)} {s.id()!r}" for s in shapes[:5])
+    return names + (f" and {len(shapes) - 5} more" if len(shapes) > 5 else "")

@@ -1,0 +1,132 @@
+"""Figures of what ``bvh_cost`` and ``bvh_rays`` render: colour scales and legends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mibvh.errors import MibvhError
+from mibvh.mitsuba.costs import QUANTITIES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Quantities that only rays that hit something have.
+_OF_HITS = ("leaf_depth", "overlap")
+_NOTHING = "#d9d9d9"
+_UNITS = {
+    "inner": "inner nodes per ray",
+    "leaves": "leaves per ray",
+    "triangles": "triangles per ray",
+    "cost": "cost per ray",
+    "leaf_depth": "levels below the root",
+    "overlap": "cost per hit point",
+}
+
+
+def image_channels(image: Any, integrator: Any) -> dict[str, npt.NDArray[np.float32]]:
+    """Name the channels of a rendered image.
+
+    Parameters
+    ----------
+    image : (H, W, C) tensor
+        What ``mi.render`` returns for the integrator.
+    integrator : mitsuba.Integrator
+
+    Returns
+    -------
+    dict of str to (H, W) float32
+        Of each name in ``integrator.aov_names()``.
+    """
+    pixels, names = np.array(image, dtype=np.float32), integrator.aov_names()
+    first = pixels.shape[2] - len(names)
+    return {name: pixels[:, :, first + i] for i, name in enumerate(names)}
+
+
+def cost_figure(
+    channels: dict[str, npt.NDArray[np.float32]], quantities: Sequence[str] | None = None
+) -> Figure:
+    """Draw heat maps with their colour scales.
+
+    Trees stand side by side on one scale, with the difference beside them.
+
+    Parameters
+    ----------
+    channels : dict
+        From :func:`image_channels` for ``bvh_cost``.
+    quantities : sequence of str, optional
+        Of ``inner``, ``leaves``, ``triangles``, ``cost``, ``leaf_depth``, ``overlap``; all for
+        one tree, cost and overlap for two, by default.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    MibvhError
+        For an unknown quantity.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+    layers = list(dict.fromkeys(name.split(".")[0] for name in channels if "." in name))
+    chosen = list(quantities or (QUANTITIES if len(layers) == 1 else ("cost", "overlap")))
+    for name in chosen:
+        if name not in QUANTITIES:
+            raise MibvhError(f"there is no quantity {name!r}; there are: {', '.join(QUANTITIES)}")
+    height, width = channels["hit"].shape
+    columns = min(3, len(chosen)) if len(layers) == 1 else len(layers)
+    rows = -(-len(chosen) * len(layers) // columns)
+    figure = Figure(
+        figsize=(3.2 * columns, (3.1 * height / width + 1.05) * rows + 0.25), layout="constrained"
+    )
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for panel in axes.flat:
+        panel.axis("off")
+    for i, quantity in enumerate(chosen):
+        maps = {layer: _map(channels, layer, quantity) for layer in layers}
+        trees = [values for layer, values in maps.items() if layer != "difference"]
+        top = max(float(np.nanpercentile(v, 99.5)) if np.isfinite(v).any() else 0 for v in trees)
+        for k, (layer, values) in enumerate(maps.items()):
+            panel = axes.flat[i * len(layers) + k]
+            title = f"{layer}: {QUANTITIES[quantity]}"
+            if layer == "difference":
+                title = f"{layers[1]} less {layers[0]}"
+            _draw(figure, panel, title, values, None if layer == "difference" else top)
+            figure.axes[-1].set_xlabel(_UNITS[quantity], fontsize=8)
+    if any(quantity in _OF_HITS for quantity in chosen) and (channels["hit"] == 0).any():
+        figure.legend(
+            handles=[Patch(facecolor=_NOTHING, label="the rays hit nothing")],
+            loc="outside lower center", frameon=False, fontsize=8,
+        )  # fmt: skip
+    return figure
+
+
+def _map(channels: dict[str, Any], layer: str, quantity: str) -> npt.NDArray[Any]:
+    """One quantity per pixel; per ray that hits, and NaN where none does, if it is of hits."""
+    values, hit = channels[f"{layer}.{quantity}"], channels["hit"]
+    if quantity not in _OF_HITS:
+        return values
+    return np.where(hit > 0, values / np.maximum(hit, 1e-6), np.nan)
+
+
+def _draw(
+    figure: Figure, panel: Any, title: str, values: npt.NDArray[Any], top: float | None
+) -> None:
+    """One map with its colour scale; around zero if there is no top value."""
+    import matplotlib as mpl
+
+    known = np.abs(values[np.isfinite(values)])
+    reach = max(float(np.percentile(known, 99.5)) if len(known) else 0.0, 1e-6)
+    low, high = (-reach, reach) if top is None else (0.0, max(top, 1e-6))
+    colours = mpl.colormaps["RdBu_r" if top is None else "viridis"].with_extremes(bad=_NOTHING)
+    image = panel.imshow(values, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
+    mean = float(np.nanmean(values)) if len(known) else 0.0
+    sign = "+" if top is None else ""
+    panel.set_title(f"{title}\nmean {mean:{sign}.3g}", fontsize=9)
+    bar = figure.colorbar(image, ax=panel, location="bottom", shrink=0.9, aspect=30, pad=0.02)
+    bar.ax.tick_params(labelsize=7)

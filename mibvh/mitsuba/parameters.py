@@ -1,0 +1,112 @@
+"""What the plugins read from a scene file: a builder, and its options."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+from mibvh.builders import build
+from mibvh.builders.registry import get
+from mibvh.errors import MibvhError
+from mibvh.tree import Tree
+from mibvh.triangles import Triangles
+
+
+@dataclasses.dataclass(frozen=True)
+class Builder:
+    """A builder with its options, as a plugin's parameters name them.
+
+    Attributes
+    ----------
+    name : str
+    options : tuple of (str, value)
+    """
+
+    name: str
+    options: tuple[tuple[str, Any], ...] = ()
+
+    def build(self, triangles: Triangles, progress: Any = None) -> Tree:
+        """Build the tree, or take it from the last few built."""
+        key = (triangles.digest, self)
+        if key not in _trees:
+            while len(_trees) >= _KEPT:
+                del _trees[next(iter(_trees))]
+            _trees[key] = build(triangles, self.name, progress=progress, **dict(self.options))
+        return _trees[key]
+
+
+#: Trees of the last renders: an animation or a progressive render must not build again.
+_trees: dict[tuple[str, Builder], Tree] = {}
+_KEPT = 4
+
+
+def read_builder(props: Any, key: str, default: str, prefix: str = "") -> Builder:
+    """Read a builder and those of its options that are given.
+
+    Parameters
+    ----------
+    props : mitsuba.Properties
+    key : str
+        The parameter that names the builder.
+    default : str
+        The builder if there is none.
+    prefix : str
+        Stands before the names of the options.
+
+    Raises
+    ------
+    MibvhError
+        For an unknown builder, or an option out of range.
+    """
+    name = props.get(key, default)
+    entry = get(name)
+    given = {}
+    for field in dataclasses.fields(entry.options):
+        if prefix + field.name in props.keys():  # noqa: SIM118 - keys only
+            value = props[prefix + field.name]
+            given[field.name] = value
+    entry.options(**given)
+    return Builder(name, tuple(sorted(given.items())))
+
+
+def refuse_unknown(props: Any, plugin: str) -> None:
+    """Refuse parameters that nobody has read, as Mitsuba does of its own plugins.
+
+    Raises
+    ------
+    MibvhError
+        Naming the first of them.
+    """
+    unknown = list(props.unqueried())
+    if unknown:
+        raise MibvhError(
+            f"{plugin} has no parameter {unknown[0]!r}, and neither has the builder it names"
+        )
+
+
+def positive(props: Any, key: str, default: int) -> int:
+    """Read a whole number of at least 1.
+
+    Raises
+    ------
+    MibvhError
+        If it is smaller.
+    """
+    value = int(props.get(key, default))
+    if value < 1:
+        raise MibvhError(f"{key} must be at least 1, not {value}")
+    return value
+
+
+@functools.cache
+def plain_variant(plugin: str, variant: str) -> None:
+    """Refuse variants whose spectra are Mueller matrices.
+
+    Raises
+    ------
+    MibvhError
+        In a polarized variant.
+    """
+    if "polarized" in variant:
+        raise MibvhError(f"{plugin} knows no polarization; the variant {variant} asks for it")

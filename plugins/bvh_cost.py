@@ -1,0 +1,106 @@
+"""The integrator ``bvh_cost``."""
+
+from __future__ import annotations
+
+import warnings
+
+import mitsuba as mi
+import numpy as np
+
+from mibvh.mitsuba.costs import QUANTITIES, CostProbe
+from mibvh.mitsuba.parameters import plain_variant, read_builder, refuse_unknown
+from mibvh.scene import load
+from mibvh.variant import mitsuba
+
+
+class BvhCost(mi.SamplingIntegrator):
+    r"""Heat maps of what the rays of the camera cost in a tree, or in two.
+
+    .. pluginparameters::
+
+     * - builder
+       - |string|
+       - Who builds the tree: a name from ``mibvh builders``. (Default: ``sbvh``)
+     * - compare
+       - |string|
+       - Who builds a second tree, to compare with. (Default: none)
+     * - cull
+       - |bool|
+       - Re-test popped nodes against the current hit; not so in the paper. (Default: false)
+     * - max_leaf, c_inner, ...
+       - |int| or |float|
+       - Any option of the builder; with ``compare_`` before it, of the second one.
+
+    The film's channels, means over a pixel's samples: the colour is the total cost as it is;
+    ``NAME.inner``, ``NAME.leaves``, ``NAME.triangles`` are nodes and leaves visited and triangles
+    tested; ``NAME.cost`` is their total by the cost constants; ``NAME.leaf_depth`` the depth of
+    the leaf that is hit, ``NAME.overlap`` the cost of the nodes that hold the hit point without
+    holding the triangle that is hit (end-point overlap there), both 0 for rays that hit nothing;
+    ``hit`` the share of rays that hit anything. NAME is that of the builder; with a second one
+    its channels follow, and those of ``difference``, second less first.
+
+    Shapes other than meshes are tessellated or left out, and named in warnings.
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <integrator type="bvh_cost">
+                <string name="builder" value="sbvh"/>
+                <string name="compare" value="lbvh"/>
+            </integrator>
+
+        .. code-tab:: python
+
+            'type': 'bvh_cost',
+            'builder': 'sbvh',
+            'compare': 'lbvh'
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        mitsuba()
+        plain_variant("bvh_cost", mi.variant())
+        super().__init__(props)
+        self.builders = [read_builder(props, "builder", "sbvh")]
+        if props.get("compare", ""):
+            self.builders.append(read_builder(props, "compare", "", "compare_"))
+        self.cull = bool(props.get("cull", False))
+        refuse_unknown(props, "bvh_cost")
+
+    @property
+    def layers(self) -> list[str]:
+        """What channels begin with: the builders' names, and ``difference`` if there are two."""
+        names = [builder.name for builder in self.builders]
+        if len(names) == 1:
+            return names
+        return [names[0], names[1] + ("_compare" if names[0] == names[1] else ""), "difference"]
+
+    def aov_names(self) -> list[str]:
+        """Names of the film's channels beside the colour."""
+        return [f"{layer}.{key}" for layer in self.layers for key in QUANTITIES] + ["hit"]
+
+    def prepare(self, scene, sensor=None, progress=None) -> list[CostProbe]:
+        """Build the scene's trees, unless they were among the last few built."""
+        loaded = load(scene)
+        for note in loaded.notes:
+            warnings.warn(note, stacklevel=2)
+        return [
+            CostProbe(builder.build(loaded.triangles, progress), loaded.triangles, self.cull)
+            for builder in self.builders
+        ]
+
+    def sample(self, scene, sampler, ray, medium=None, active=True):
+        """Cost of each ray; see ``mitsuba.SamplingIntegrator.sample``."""
+        told = [probe(mi.Ray3f(ray), mi.Bool(active)) for probe in self.prepare(scene)]
+        layers = [np.array([one[key] for key in QUANTITIES], np.float32) for one in told]
+        if len(layers) == 2:
+            layers.append(layers[1] - layers[0])
+        channels = [mi.Float(channel) for layer in layers for channel in layer]
+        hit = mi.Float(told[0]["hit"].astype(np.float32))
+        return mi.Spectrum(mi.Float(told[0]["cost"].astype(np.float32))), hit > 0, [*channels, hit]
+
+    def to_string(self) -> str:
+        """Describe the integrator as Mitsuba's own do."""
+        return f"BvhCost[builders = {[builder.name for builder in self.builders]}]"
+
+
+mi.register_integrator("bvh_cost", BvhCost)

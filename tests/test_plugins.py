@@ -1,0 +1,281 @@
+"""The Mitsuba plugins: the same images as Mitsuba's own, exact heat maps."""
+
+import shutil
+import subprocess
+import sys
+import tomllib
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mibvh
+import mibvh.mitsuba
+from mibvh.mitsuba.costs import QUANTITIES, CostProbe, leaf_depths
+from mibvh.variant import mitsuba
+
+mi = mitsuba()
+At = mi.ScalarTransform4f
+
+
+def film(size=32):
+    return {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}
+
+
+def stage(**more):
+    """A floor, a camera, and what is put on the floor."""
+    return mi.load_dict({
+        "type": "scene",
+        "sensor": {
+            "type": "perspective", "film": film(),
+            "to_world": At().look_at([0, 2, 6], [0, 0.5, 0], [0, 1, 0]),
+        },
+        "floor": {
+            "type": "rectangle", "to_world": At().rotate([1, 0, 0], -90).scale(4),
+            "bsdf": {"type": "diffuse", "reflectance": {
+                "type": "checkerboard", "to_uv": At().scale([7, 7, 1])}},
+        },
+        **more,
+    })  # fmt: skip
+
+
+def box(bsdf, x, y=0.6, z=0.0):
+    """A box above the floor: in faces that coincide either one may be hit."""
+    at = At().translate([x, y, z]).rotate([0, 1, 0], 30).scale(0.5)
+    return {"type": "cube", "to_world": at, "bsdf": bsdf}
+
+
+def sky():
+    pixels = np.random.default_rng(0).random((8, 16, 3)).astype(np.float32)
+    return {"type": "envmap", "bitmap": mi.Bitmap(pixels)}
+
+
+LAMP = {"type": "rectangle", "to_world": At().translate([0, 3, 1]).rotate([1, 0, 0], 90),
+        "emitter": {"type": "area", "radiance": 4.0}}  # fmt: skip
+
+
+def cornell_box():
+    scene = mi.cornell_box()
+    scene["sensor"]["film"].update(width=32, height=32)
+    return mi.load_dict(scene)
+
+
+def render(scene, kind, **parameters):
+    integrator = mi.load_dict({"type": kind, **parameters})
+    return np.array(mi.render(scene, integrator=integrator, spp=8, seed=3))
+
+
+def assert_same_image(scene, builder="sbvh", **parameters):
+    """Equal up to rounding; a path in a thousand may fall on the other side of a decision."""
+    wanted = render(scene, "path", **parameters)
+    found = render(scene, "bvh_path", builder=builder, **parameters)
+    assert wanted.mean() > 0.01
+    off = np.abs(found - wanted) > 1e-3 * (wanted + 0.01)
+    assert off.any(axis=2).mean() < 0.01
+    assert found.mean() == pytest.approx(wanted.mean(), rel=2e-3)
+
+
+SCENES = {
+    "cornell box": cornell_box,
+    "glass, gold and leaves in the sky": lambda: stage(
+        sky=sky(),
+        glass=box({"type": "dielectric"}, -1.2),
+        gold=box({"type": "roughconductor", "material": "Au", "alpha": 0.2}, 0.3),
+        leaves=box({"type": "mask", "opacity": 0.4, "b": {"type": "diffuse"}}, 1.5, z=1.0),
+    ),
+    "mirror and frosted glass under a lamp": lambda: stage(
+        lamp=LAMP,
+        point={"type": "point", "position": [2, 3, 1], "intensity": 4.0},
+        mirror=box({"type": "conductor", "material": "Cu"}, -1.0),
+        frosted=box({"type": "roughdielectric", "alpha": 0.3}, 0.8),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_image_is_that_of_path(name):
+    assert_same_image(SCENES[name]())
+
+
+def test_parameters_mean_what_they_do_in_path():
+    scene = cornell_box()
+    for parameters in ({"max_depth": 1}, {"max_depth": 4, "rr_depth": 1, "hide_emitters": True}):
+        assert_same_image(scene, "lbvh", **parameters)
+    assert not render(scene, "bvh_path", max_depth=0).any()
+
+
+def test_a_bundled_scene_looks_as_in_path():
+    scene = mi.load_file(str(mibvh.bundled.bundled_scene("livingroom@2000")))
+    params = mi.traverse(scene.sensors()[0])
+    params["film.size"] = [32, 24]
+    params.update()
+    assert_same_image(scene, "bbvh", max_depth=5)
+
+
+def test_what_a_tree_cannot_hold_is_named_and_traced_beside_it():
+    scene = stage(
+        sky=sky(),
+        ball={"type": "sphere", "radius": 0.5, "center": [-1, 0.5, 0],
+              "bsdf": {"type": "dielectric"}},
+        plate={"type": "disk", "to_world": At().translate([1, 1, -0.7])},
+        box=box({"type": "diffuse"}, 0.0),
+    )  # fmt: skip
+    with pytest.warns(UserWarning, match="cannot hold Sphere 'ball', Disk 'plate'"):
+        assert_same_image(scene)
+    assert {shape.id() for shape in scene.shapes()} >= {"ball", "plate"}
+
+
+def test_instances_are_traced_beside_the_tree():
+    scene = stage(
+        lamp=LAMP,
+        group={"type": "shapegroup", "a": box({"type": "diffuse"}, 0), "b": {"type": "sphere"}},
+        one={"type": "instance", "g": {"type": "ref", "id": "group"},
+             "to_world": At().translate([-1.5, 0.3, 0]).scale(0.6)},
+        box=box({"type": "diffuse"}, 1.0),
+    )  # fmt: skip
+    with pytest.warns(UserWarning, match="cannot hold Instance 'one'"):
+        assert_same_image(scene)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_spectral", "llvm_ad_mono"])
+def test_other_variants(variant):
+    before = mi.variant()
+    try:
+        mi.set_variant(variant)
+        scene = cornell_box()
+        assert_same_image(scene)
+        assert render(scene, "bvh_cost")[..., -1].mean() > 0.5
+    finally:
+        mi.set_variant(before)
+
+
+def test_scalar_variants_and_bad_parameters_get_one_sentence():
+    for parameters, said in [
+        ({"builder": "oak"}, "there is no builder 'oak'"),
+        ({"max_leaf": 0}, "option max_leaf must be from 1 to 255"),
+        ({"colour": 0.5}, "bvh_path has no parameter 'colour'"),
+        ({"max_depth": -2}, "max_depth must be at least 0"),
+    ]:
+        with pytest.raises(RuntimeError, match=said):
+            mi.load_dict({"type": "bvh_path", **parameters})
+    before = mi.variant()
+    try:
+        mi.set_variant("scalar_rgb")
+        with pytest.raises(RuntimeError, match="which the variant scalar_rgb does not use"):
+            mi.load_dict({"type": "bvh_path"})
+    finally:
+        mi.set_variant(before)
+
+
+def test_costs_are_those_of_trace(cornell):
+    """The heat map's counters are the study's; overlap and leaf depth agree with brute force."""
+    rays = mibvh.diffuse_rays(cornell, width=12, height=9, samples=1)
+    tree = mibvh.build(cornell, "sbvh")
+    hits = mibvh.trace(tree, cornell, rays, repeats=1)
+    probe = CostProbe(tree, cornell.triangles)
+    told = probe(mi.Ray3f(mi.Point3f(rays.o.T), mi.Vector3f(rays.d.T)), mi.Bool(True))
+    for name, column in [("inner", hits.inner), ("leaves", hits.leaves), ("triangles", hits.tests)]:
+        np.testing.assert_array_equal(told[name], column)
+    assert told["cost"].mean() == pytest.approx(hits.counted_cost())
+    np.testing.assert_array_equal(told["hit"], hits.triangle >= 0)
+    _, ends = mibvh.ray_ends(cornell.triangles, rays, hits)
+    hit = np.flatnonzero(told["hit"])
+    for i in range(0, len(hit), 7):
+        point, triangle = ends.points[i], ends.triangle[i]
+        inside = ((point >= tree.lower) & (point <= tree.upper)).all(axis=1)
+        own = np.array([
+            triangle in tree.references[first : first + count]
+            for first, count in zip(tree.first, tree.count, strict=True)
+        ])  # fmt: skip
+        cost = np.where(tree.is_leaf, 1.0 * tree.count, 1.2)
+        assert told["overlap"][hit[i]] == pytest.approx(cost[inside & ~own].sum(), abs=1e-6)
+        depth = tree.depths[inside & own & tree.is_leaf].min()
+        assert told["leaf_depth"][hit[i]] == depth
+
+
+def test_depth_of_the_leaf_of_a_split_triangle():
+    """Two references of one triangle, at depths 1 and 2: the point decides."""
+    triangles = mibvh.Triangles([[[0, 0, 0], [4, 0, 0], [0, 1, 0]]] * 2)
+    tree = mibvh.Tree(
+        lower=np.array([[0, 0, 0], [0, 0, 0], [2, 0, 0], [2, 0, 0], [2, 0, 0]], np.float32),
+        upper=np.array([[4, 1, 0], [2, 1, 0], [4, 1, 0], [4, 1, 0], [4, 1, 0]], np.float32),
+        left=np.array([1, -1, 3, -1, -1], np.int32),
+        first=np.array([0, 0, 1, 1, 2], np.int32),
+        count=np.array([3, 1, 2, 1, 1], np.int32),
+        references=np.array([0, 0, 1], np.int32),
+    )
+    points = np.array([[1, 0.1, 0], [3, 0.1, 0], [2, 0.1, 0], [3, 0.1, 0]])
+    found = leaf_depths(tree, triangles, points, np.array([0, 0, 0, 1]))
+    np.testing.assert_array_equal(found, [1, 2, 1, 2])
+
+
+def test_heat_maps_of_two_trees_and_their_figure(tmp_path):
+    scene = cornell_box()
+    integrator = mi.load_dict({
+        "type": "bvh_cost", "builder": "sbvh", "max_leaf": 2, "compare": "lbvh",
+        "compare_max_leaf": 8,
+    })  # fmt: skip
+    assert integrator.layers == ["sbvh", "lbvh", "difference"]
+    image = mi.render(scene, integrator=integrator, spp=2)
+    channels = mibvh.mitsuba.image_channels(image, integrator)
+    assert list(channels) == integrator.aov_names()
+    assert {name.split(".")[1] for name in channels if "." in name} == set(QUANTITIES)
+    for name in QUANTITIES:
+        np.testing.assert_allclose(
+            channels[f"difference.{name}"],
+            channels[f"lbvh.{name}"] - channels[f"sbvh.{name}"], atol=1e-4,
+        )  # fmt: skip
+    np.testing.assert_allclose(
+        channels["sbvh.cost"], 1.2 * channels["sbvh.inner"] + channels["sbvh.triangles"], rtol=1e-5
+    )
+    np.testing.assert_allclose(np.array(image)[..., 0], channels["sbvh.cost"], rtol=1e-5)
+    figure = mibvh.mitsuba.cost_figure(channels)
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert len(titles) == 6
+    assert titles[2].startswith("lbvh less sbvh")
+    with pytest.raises(mibvh.MibvhError, match="no quantity 'speed'"):
+        mibvh.mitsuba.cost_figure(channels, ["speed"])
+
+
+def test_xml_with_parameters():
+    scene = mi.load_string(
+        """<scene version="3.0.0"><default name="who" value="bbvh"/>
+        <integrator type="bvh_path"><string name="builder" value="$who"/>
+        <integer name="max_leaf" value="2"/></integrator>
+        <sensor type="perspective"><transform name="to_world">
+        <lookat origin="0, 0, -5" target="0, 0, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="8"/>
+        <integer name="height" value="8"/></film></sensor><emitter type="constant"/>
+        <shape type="cube"/></scene>""", who="lbvh",
+    )  # fmt: skip
+    assert "builder = lbvh" in str(scene.integrator())
+    assert "'max_leaf': 2" in str(scene.integrator())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.array(mi.render(scene, spp=1)).max() > 0
+
+
+def test_plugins_are_found_in_an_installed_package(tmp_path):
+    """Laid out as the wheel is, in a fresh process that sets its variant last, and twice."""
+    root = Path(mibvh.__file__).parents[1]
+    shutil.copytree(root / "mibvh", tmp_path / "mibvh", ignore=shutil.ignore_patterns("__py*"))
+    build = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
+    for source, target in build["targets"]["wheel"]["force-include"].items():
+        shutil.copytree(root / source, tmp_path / target)
+    code = """
+import mibvh.mitsuba
+import mitsuba as mi
+assert mi.variant() is None
+for variant in ("llvm_ad_mono", "llvm_ad_rgb", "llvm_ad_mono"):
+    mi.set_variant(variant)
+    print([type(mi.load_dict({"type": name})).__module__ for name in mibvh.mitsuba.PLUGINS])
+print(mibvh.mitsuba.register.__code__.co_filename)
+"""
+    ran = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    *names, file = ran.stdout.splitlines()
+    assert Path(file).is_relative_to(tmp_path)
+    assert names[0] == names[2] != names[1]
+    assert names[0].count("llvm_ad_mono") == len(mibvh.mitsuba.PLUGINS)
