@@ -29,7 +29,7 @@ from mibvh.builders.treelet import (
 from mibvh.errors import MibvhError
 
 CONTEXT = Context()
-NONE_SPLIT = np.zeros(0, np.int32)
+NONE_SPLIT = None
 
 
 def all_trees(leaves):
@@ -90,7 +90,7 @@ def test_the_programme_finds_the_best_of_all_trees(size):
         arrays[0] = arrays[0].astype(np.float32)
         for array, part in zip(arrays, (box, count, 0 * count, cost), strict=True):
             array[1 << np.arange(size)] = part
-        _solve(size, c_inner, c_tri, max_leaf, *arrays)
+        _solve(size, NONE_SPLIT, c_inner, c_tri, max_leaf, *arrays)
         for lane in range(_LANES):
             treelet = box.astype(np.float32)[..., lane], count[:, lane], cost[:, lane]
             expected = cheapest(*treelet, c_inner, c_tri, max_leaf)

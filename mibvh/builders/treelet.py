@@ -40,6 +40,7 @@ import numba
 import numpy as np
 
 from mibvh._jit import njit
+from mibvh.builders import lanes
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.registry import Context, Options, builder, option
 from mibvh.builders.rotations import box_area, depth_first, judged
@@ -229,13 +230,15 @@ def _grow(root, size, lane, left, right, box, leaves, inner):
 
 
 @njit
-def _solve(size, c_inner, c_tri, max_leaf, s_box, s_count, s_again, s_cost):
+def _solve(size, owner, c_inner, c_tri, max_leaf, s_box, s_count, s_again, s_cost):
     """Run the dynamic programme, for eight treelets side by side.
 
     Parameters
     ----------
     size : int
         Leaves of a treelet, n.
+    owner : (2R - 1,) int32, or None
+        None where no triangle is split, and there is nothing in ``s_again``.
     c_inner, c_tri, max_leaf : float, float, int
         The costs.
     s_box : (2**n, 6, 8) float32
@@ -246,45 +249,51 @@ def _solve(size, c_inner, c_tri, max_leaf, s_box, s_count, s_again, s_cost):
     s_again : (2**n, 8) float64
         How many of its references are further ones of a triangle it holds already.
     """
-    # Unsigned indices, as Numba spends time on negative ones; and a last axis of fixed
-    # length, over which the inner loops become vector instructions.
-    one, lanes = np.uint64(1), np.uint64(_LANES)
-    for s in range(np.uint64(3), one << np.uint64(size)):
+    inner_factor, leaf_factor = lanes.fill(c_inner), lanes.fill(c_tri)
+    most, never = lanes.fill(float(max_leaf)), lanes.fill(np.inf)
+    # Unsigned indices, as Numba spends time on negative ones.
+    one, two, six = np.uint64(1), np.uint64(2), np.uint64(6)
+    for s in range(one + two, one << np.uint64(size)):
         rest = s & (s - one)
         if rest == 0:
             continue
-        # Proper subsets are smaller numbers, so they are ready.
+        # Proper subsets are smaller numbers, so they are ready. Of a partition in two, one
+        # side holds the lowest bit; the other side runs through the non-empty subsets of
+        # the rest.
         low = s ^ rest
-        for k in range(np.uint64(3)):
-            for i in range(lanes):
-                a, b = s_box[low, k, i], s_box[rest, k, i]
-                s_box[s, k, i] = a if a < b else b
-        for k in range(np.uint64(3), np.uint64(6)):
-            for i in range(lanes):
-                a, b = s_box[low, k, i], s_box[rest, k, i]
-                s_box[s, k, i] = a if a > b else b
-        for i in range(lanes):
-            s_count[s, i] = s_count[low, i] + s_count[rest, i]
-            s_cost[s, i] = s_cost[low, i] + s_cost[rest, i]
-        # Of a partition in two, one side holds the lowest bit; the other side runs through
-        # the non-empty subsets of the rest.
+        best = lanes.add(lanes.load(s_cost, low), lanes.load(s_cost, rest))
         p = (rest - one) & rest
         while p:
-            q = s ^ p
-            for i in range(lanes):
-                both = s_cost[p, i] + s_cost[q, i]
-                least = s_cost[s, i]
-                s_cost[s, i] = both if both < least else least
+            both = lanes.add(lanes.load(s_cost, p), lanes.load(s_cost, s ^ p))
+            best = lanes.least(both, best)
             p = (p - one) & rest
-        for i in range(lanes):
-            x = np.float64(s_box[s, 3, i]) - np.float64(s_box[s, 0, i])
-            y = np.float64(s_box[s, 4, i]) - np.float64(s_box[s, 1, i])
-            z = np.float64(s_box[s, 5, i]) - np.float64(s_box[s, 2, i])
-            area = x * y + (x + y) * z
-            inner = c_inner * area + s_cost[s, i]
-            distinct = s_count[s, i] - s_again[s, i]
-            leaf = c_tri * area * distinct
-            s_cost[s, i] = leaf if distinct <= max_leaf and leaf <= inner else inner
+        x = _side_of_union(s_box, s * six, low * six, rest * six)
+        y = _side_of_union(s_box, s * six + one, low * six + one, rest * six + one)
+        z = _side_of_union(s_box, s * six + two, low * six + two, rest * six + two)
+        area = lanes.add(lanes.multiply(x, y), lanes.multiply(lanes.add(x, y), z))
+        count = lanes.add(lanes.load(s_count, low), lanes.load(s_count, rest))
+        lanes.store(s_count, s, count)
+        if owner is not None:
+            count = lanes.subtract(count, lanes.load(s_again, s))
+        inner = lanes.add(lanes.multiply(inner_factor, area), best)
+        leaf = lanes.multiply(lanes.multiply(leaf_factor, area), count)
+        leaf = lanes.where_at_most(count, most, leaf, never)
+        lanes.store(s_cost, s, lanes.least(leaf, inner))
+
+
+@njit
+def _side_of_union(s_box, s, a, b):
+    """Write lower and upper bound of the union of two boxes on one axis; return its length.
+
+    ``s``, ``a`` and ``b`` are the rows of the lower bounds; those of the upper stand three
+    below.
+    """
+    three = np.uint64(3)
+    low = lanes.least(lanes.load(s_box, a), lanes.load(s_box, b))
+    high = lanes.greatest(lanes.load(s_box, a + three), lanes.load(s_box, b + three))
+    lanes.store(s_box, s, low)
+    lanes.store(s_box, s + three, high)
+    return lanes.subtract(lanes.widen(high), lanes.widen(low))
 
 
 @njit
@@ -306,10 +315,10 @@ def _rebuild(size, lane, leaves, inner, owner, left, right, box, count, cost, co
             box[node, k] = s_box[s, k, lane]
         count[node] = np.int32(s_count[s, lane])
         cost[node] = s_cost[s, lane]
-        if s_again[s, lane] > 0.0:
+        if owner is not None:
             distinct = s_count[s, lane] - s_again[s, lane]
             leaf = costs[1] * box_area(box, node) * distinct
-            if distinct <= costs[2] and leaf <= s_cost[s, lane]:
+            if s_again[s, lane] > 0.0 and distinct <= costs[2] and leaf <= s_cost[s, lane]:
                 tip, free, members = 0, 0, 0
                 for i in range(size):
                     if s >> i & 1:
@@ -345,11 +354,12 @@ def _rebuild(size, lane, leaves, inner, owner, left, right, box, count, cost, co
                 right[node] = child
             else:
                 left[node] = child
-    # Joining parts leaves fewer references; children stand behind their parents in `inner`.
-    for i in range(used - 1 if len(owner) else -1, -1, -1):
-        node = inner[i, lane]
-        if left[node] >= 0:
-            count[node] = count[left[node]] + count[right[node]]
+    if owner is not None:
+        # Joining parts leaves fewer references; children stand behind their parents in `inner`.
+        for i in range(used - 1, -1, -1):
+            node = inner[i, lane]
+            if left[node] >= 0:
+                count[node] = count[left[node]] + count[right[node]]
 
 
 @njit
@@ -363,11 +373,10 @@ def _improve(nodes, size, owner, left, right, box, count, cost, c_inner, c_tri, 
     roots = np.zeros(_LANES, np.int32)
     s_box = np.zeros((1 << size, 6, _LANES), np.float32)
     s_count = np.zeros((1 << size, _LANES), np.float64)
-    s_again = np.zeros((1 << size, _LANES), np.float64)
     s_cost = np.zeros((1 << size, _LANES), np.float64)
+    s_again = np.zeros((1 << size, _LANES), np.float64)
     subsets = (s_box, s_count, s_again, s_cost)
-    split = len(owner) > 0
-    room = 8 * (max_leaf + 1) if split else 0
+    room = 8 * (max_leaf + 1) if owner is not None else 0
     work = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int64)
     costs = (c_inner, c_tri, max_leaf)
     rebuilt, begin = 0, 0
@@ -389,12 +398,12 @@ def _improve(nodes, size, owner, left, right, box, count, cost, c_inner, c_tri, 
                     s_box[1 << i, k, used] = box[leaf, k]
                 s_count[1 << i, used] = count[leaf]
                 s_cost[1 << i, used] = cost[leaf]
-            if split:
+            if owner is not None:
                 _find_repeats(
                     size, used, leaves, owner, left, right, count, max_leaf, work, s_again
                 )
             used += 1
-        _solve(size, c_inner, c_tri, max_leaf, *subsets)
+        _solve(size, owner, c_inner, c_tri, max_leaf, *subsets)
         for lane in range(used):
             if s_cost[(1 << size) - 1, lane] < cost[roots[lane]]:
                 _rebuild(
@@ -529,8 +538,8 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
     left, right, reference, count, box = depth_first(draft)
     cost = subtree_costs(left, right, box, count, *costs)
     triangle = draft.references.triangle
-    owner = np.zeros(0, np.int32)
-    if options.rounds and len(np.unique(triangle)) < len(triangle):
+    owner = None  # compiled code without it counts references, not triangles
+    if options.rounds and np.bincount(triangle).max() > 1:
         owner = np.where(left < 0, triangle[reference], -1)
         join_small(owner, left, right, box, count, cost, *costs)
     # A scene of fewer triangles is a smaller treelet.
@@ -558,7 +567,7 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
             rebuilt += _improve_all(top[begin:], ends - begin, *arrays)
             begin = ends[-1] if len(ends) else begin
         looked += len(top)
-    if len(owner):
+    if owner is not None:
         result = without_joined(draft.references.scale, owner, left, right, box)
     else:
         result = Draft(draft.references, left, right, reference)
