@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from mibvh.version import __version__
 
 if TYPE_CHECKING:
+    from mibvh import plot
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
     from mibvh.errors import MibvhError
     from mibvh.metrics.epo import epo, epo_per_depth, epo_per_node
@@ -49,6 +50,7 @@ _PUBLIC = {
     "epo_per_node": "mibvh.metrics.epo",
     "load": "mibvh.scene",
     "option": "mibvh.builders",
+    "plot": "mibvh",
     "ray_ends": "mibvh.metrics.points",
     "ray_lines": "mibvh.metrics.lines",
     "rotation_about": "mibvh.triangles",
@@ -83,6 +85,7 @@ __all__ = [
     "epo_per_node",
     "load",
     "option",
+    "plot",
     "ray_ends",
     "ray_lines",
     "rotation_about",
@@ -96,7 +99,12 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'mibvh' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_PUBLIC[name]), name)
+    home = _PUBLIC[name]
+    value = (
+        importlib.import_module(f"mibvh.{name}")
+        if home == "mibvh"
+        else getattr(importlib.import_module(home), name)
+    )
     globals()[name] = value
     return value
 

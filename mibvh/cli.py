@@ -405,14 +405,12 @@ def scenes_show(
     as_json: Json = False,
 ) -> None:
     """Render a scene's first viewpoint to a PNG."""
-    import base64
-
     from mibvh.files import atomic_path
-    from mibvh.studies.picture import picture
+    from mibvh.picture import picture, png
 
     scene = _load(name)
     with atomic_path(output) as path:
-        path.write_bytes(base64.b64decode(picture(scene)))
+        path.write_bytes(png(picture(scene)))
     _print(
         {"scene": scene.name, "triangles": len(scene.triangles), "picture": str(output)}, as_json
     )

@@ -128,6 +128,33 @@ def point_costs(tree: Tree, triangles: Any, points: F64, ids: I32) -> F64:
     return out
 
 
+def weight_at(tree: Tree, points: F64, weights: F64) -> F64:
+    """Sum of the weights of the nodes whose closed box holds a point, anywhere in space.
+
+    Parameters
+    ----------
+    tree : Tree
+    points : (P, 3) float64
+    weights : (M,) float64
+        Of the nodes: ones count them, :func:`mibvh.metrics.sah.node_costs` is the cost of a
+        point query.
+
+    Returns
+    -------
+    (P,) float64
+    """
+    # A point that belongs to a triangle without references has foreign nodes only.
+    nobody, starts = np.zeros(len(points), np.int32), np.zeros(2, np.int64)
+    positions, out = np.zeros(0, np.int32), np.zeros((len(points), 2))
+
+    def work(_worker: int, begin: int, end: int) -> None:
+        _query(begin, end, points, nobody, starts, positions, tree.lower, tree.upper, tree.left,
+               tree.first, tree.count, weights, out)  # fmt: skip
+
+    run_blocks(work, len(points), _BLOCK)
+    return out[:, 0]
+
+
 def points_on(triangles: Triangles, ids: I32, seed: int = 0) -> F64:
     """(P, 3) float64: a random point on each of the named triangles, evenly spread."""
     u, v = np.random.default_rng(seed).random((2, len(ids)))

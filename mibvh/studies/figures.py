@@ -20,22 +20,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mibvh.metrics.predictor import pearson
+from mibvh.plot.marks import STYLE, builder_colour, depth_curves, named_points
 from mibvh.studies.analyse import MEASUREMENTS, column, predictors
 
 #: Stands for "the text colour of the page" until the figure is in it.
 _INK = "#123457"
-#: Colour-blind safe (Okabe and Ito), readable on light and dark; shapes and dashes tell them apart
-#: a second time.
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8C8C00", "#8A8A8A",
-           "#A65ACD")  # fmt: skip
-_SHAPES = "oDs^vPXpd"
-_DASHES = ("solid", (0, (4, 1.2)), (0, (1.2, 1)))
 #: Separates the parts of what is said of a point, in its group id: whose it is, and a tooltip.
 _TIP = "tip|"
 #: Width of a panel and room around its axes, in inches: left, right, bottom, top.
 _WIDTH, _MARGINS = 3.6, (0.62, 0.12, 0.48, 0.32)
-#: Where the name of a point may stand, as seen from it; the first that has room is taken.
-_DIRECTIONS = ((1, 0), (-1, 0), (0.7, 0.7), (0.7, -0.7), (-0.7, 0.7), (-0.7, -0.7), (0, 1), (0, -1))
 _SVG = "http://www.w3.org/2000/svg"
 
 
@@ -43,20 +36,12 @@ _SVG = "http://www.w3.org/2000/svg"
 def style() -> Iterator[None]:
     """Matplotlib settings of all figures."""
     with mpl.rc_context({
-        "font.size": 9, "axes.spines.top": False, "axes.spines.right": False,
-        "axes.edgecolor": _INK, "axes.labelcolor": _INK, "text.color": _INK, "axes.titlesize": 9.5,
+        **STYLE,
+        "axes.edgecolor": _INK, "axes.labelcolor": _INK, "text.color": _INK,
         "xtick.color": _INK, "ytick.color": _INK, "svg.fonttype": "none", "svg.hashsalt": "mibvh",
-        "figure.facecolor": "none", "axes.facecolor": "none", "legend.frameon": False,
-        "font.family": "sans-serif", "axes.linewidth": 0.7, "xtick.major.width": 0.7,
-        "ytick.major.width": 0.7, "axes.grid": True, "grid.color": "#88888833",
-        "grid.linewidth": 0.6, "axes.axisbelow": True,
+        "figure.facecolor": "none", "axes.facecolor": "none",
     }):  # fmt: skip
         yield
-
-
-def builder_colour(place: int) -> str:
-    """Colour of a builder, by its place in the list."""
-    return COLOURS[place % len(COLOURS)]
 
 
 def _figure(panels: int, height: float = 2.8, bottom: float = 0.0) -> tuple[Figure, list[Axes]]:
@@ -161,61 +146,17 @@ def predicted_measured(record: dict[str, Any], measurement: str) -> Figure:
 def _scatter(
     axis: Axes, record: dict[str, Any], values: np.ndarray, measured: np.ndarray, measurement: str
 ) -> None:
-    if len(values) > 1 and np.ptp(values) > 0:
-        slope, intercept = np.polyfit(values, measured, 1)
-        ends = np.array([values.min(), values.max()])
-        axis.plot(ends, intercept + slope * ends, color="#888888", lw=1, zorder=1)
     error = measurement.replace("_ns", "_error")
-    for i, (tree, x, y) in enumerate(zip(record["trees"], values, measured, strict=True)):
+    gids = []
+    for tree, x, y in zip(record["trees"], values, measured, strict=True):
         name = tree["builder"]
         noise = f" ±{tree[error]:.1%}" if measurement.endswith("_ns") else ""
-        tip = (
-            f"{name}: {MEASUREMENTS[measurement]} {y:.4g}{noise}, predicted {x:.4g}, "
+        gids.append(
+            f"{_TIP}{name}|{name}: {MEASUREMENTS[measurement]} {y:.4g}{noise}, predicted {x:.4g}, "
             f"SAH {tree['sah']:.4g}, EPO {tree['epo']:.4g}, LCV {tree['lcv']:.3g}"
         )
-        axis.plot(
-            [x], [y], _SHAPES[i % len(_SHAPES)], ms=6.5, color=builder_colour(i), zorder=3,
-            mec="white", mew=0.5, gid=f"{_TIP}{name}|{tip}",
-        )  # fmt: skip
-    axis.margins(0.16, 0.1)
-    _label_points(axis, [tree["builder"] for tree in record["trees"]], values, measured)
-
-
-def _label_points(axis: Axes, labels: list[str], x: np.ndarray, y: np.ndarray) -> None:
-    """Name the points where there is room: near each, clear of the others and their names."""
-    low, high = (np.array(limits) for limits in zip(axis.get_xlim(), axis.get_ylim(), strict=True))
-    box = axis.get_window_extent()
-    size = np.array([box.width, box.height]) * 72 / axis.figure.dpi
-    points = (np.stack([x, y], axis=1) - low) / (high - low) * size
-    marks = np.concatenate([points - 4, points + 4], axis=1)
-    taken: list[np.ndarray] = []
-    for i in np.argsort(points[:, 1]):
-        half = np.array([2.3 * len(labels[i]), 4.5])  # of the text, about
-        others = np.array([*taken, *np.delete(marks, i, axis=0)])
-        places = []
-        for radius in (5, 12, 20, 30):
-            for direction in _DIRECTIONS:
-                centre = points[i] + np.sign(direction) * half + radius * np.array(direction)
-                rectangle = np.concatenate([centre - half, centre + half])
-                outside = np.maximum(-rectangle[:2], 0) + np.maximum(rectangle[2:] - size, 0)
-                cost = 10 * outside.sum() + _overlap(rectangle, others) + radius
-                places.append((cost, radius, centre, rectangle))
-        _, radius, centre, rectangle = min(places, key=lambda place: place[0])
-        taken.append(rectangle)
-        if radius > 5:
-            nearest = np.clip(points[i], rectangle[:2], rectangle[2:])
-            ends = np.stack([points[i], nearest]) / size * (high - low) + low
-            axis.plot(ends[:, 0], ends[:, 1], color="#888888", lw=0.6, zorder=2)
-        x_text, y_text = centre / size * (high - low) + low
-        axis.text(x_text, y_text, labels[i], fontsize=8, ha="center", va="center", zorder=4)
-
-
-def _overlap(one: np.ndarray, many: np.ndarray) -> float:
-    """Area of a rectangle (two corners) that lies in others, summed."""
-    if not len(many):
-        return 0.0
-    edges = np.minimum(one[2:], many[:, 2:]) - np.maximum(one[:2], many[:, :2])
-    return float(np.maximum(edges, 0).prod(axis=1).sum())
+    names = [tree["builder"] for tree in record["trees"]]
+    named_points(axis, names, values, measured, line=True, gids=gids)
 
 
 def by_depth(record: dict[str, Any]) -> Figure:
@@ -223,16 +164,14 @@ def by_depth(record: dict[str, Any]) -> Figure:
     with style():
         figure, axes = _figure(2, height=2.5)
         for axis, name in zip(axes, ("sah", "epo"), strict=True):
-            for i, tree in enumerate(record["trees"]):
-                values = np.array(tree[f"{name}_by_depth"])
-                tip = (
-                    f"{tree['builder']}: {name.upper()} {tree[name]:.4g} over {len(values)} "
-                    f"levels, most at depth {values.argmax()}"
+            curves, gids = {}, []
+            for tree in record["trees"]:
+                values = curves[tree["builder"]] = np.array(tree[f"{name}_by_depth"])
+                gids.append(
+                    f"{_TIP}{tree['builder']}|{tree['builder']}: {name.upper()} {tree[name]:.4g} "
+                    f"over {len(values)} levels, most at depth {values.argmax()}"
                 )
-                axis.plot(
-                    values, lw=1.5, color=builder_colour(i), label=tree["builder"],
-                    ls=_DASHES[i % len(_DASHES)], gid=f"{_TIP}{tree['builder']}|{tip}",
-                )  # fmt: skip
+            depth_curves(axis, curves, gids)
             _name(axis, f"{name.upper()} by depth", "depth", "cost")
         axes[1].legend(fontsize=7, ncols=2 if len(record["trees"]) > 5 else 1)
     return figure

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import functools
 import json
@@ -227,9 +228,9 @@ def _part(
 
 
 def _picture(scene: Scene) -> dict[str, Any]:
-    from mibvh.studies.picture import picture
+    from mibvh.picture import picture, png
 
-    return {"png": picture(scene)}
+    return {"png": base64.b64encode(png(picture(scene))).decode()}
 
 
 def write_outputs(folder: Path, records: list[dict[str, Any]]) -> None:

@@ -1,0 +1,129 @@
+"""What all pictures share: colours, settings, named points, curves by depth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from mibvh.triangles import F64
+
+#: Settings of figures that mibvh makes itself; colours of text and page are left to the user.
+STYLE: Any = {
+    "font.size": 9, "axes.titlesize": 9.5, "axes.spines.top": False, "axes.spines.right": False,
+    "legend.frameon": False, "font.family": "sans-serif", "axes.linewidth": 0.7,
+    "xtick.major.width": 0.7, "ytick.major.width": 0.7, "axes.grid": True,
+    "grid.color": "#88888833", "grid.linewidth": 0.6, "axes.axisbelow": True,
+}  # fmt: skip
+#: Colour-blind safe (Okabe and Ito), readable on light and dark; shapes and dashes tell them apart
+#: a second time.
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8C8C00", "#8A8A8A",
+           "#A65ACD")  # fmt: skip
+_SHAPES = "oDs^vPXpd"
+_DASHES = ("solid", (0, (4, 1.2)), (0, (1.2, 1)))
+#: Of quantities, on white: the darker, the more.
+SEQUENTIAL = "viridis_r"
+#: Where the name of a point may stand, as seen from it; the first that has room is taken.
+_DIRECTIONS = ((1, 0), (-1, 0), (0.7, 0.7), (0.7, -0.7), (-0.7, 0.7), (-0.7, -0.7), (0, 1), (0, -1))
+
+
+def builder_colour(place: int) -> str:
+    """Colour of a builder, by its place in the list."""
+    return COLOURS[place % len(COLOURS)]
+
+
+def named_points(
+    axis: Axes,
+    names: Sequence[str],
+    x: npt.ArrayLike,
+    y: npt.ArrayLike,
+    *,
+    line: bool = False,
+    gids: Sequence[str] | None = None,
+) -> None:
+    """Draw a point per builder, with its name beside it.
+
+    Parameters
+    ----------
+    axis : Axes
+        Of its final size, as names are placed where there is room.
+    names : sequence of str
+    x, y : (K,) array
+    line : bool
+        Whether to draw the least-squares line.
+    gids : sequence of str, optional
+        Group ids of the points in an SVG.
+    """
+    across, up = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    if line and len(names) > 1 and np.ptp(across) > 0:
+        slope, intercept = np.polyfit(across, up, 1)
+        ends = np.array([across.min(), across.max()])
+        axis.plot(ends, intercept + slope * ends, color="#888888", lw=1, zorder=1)
+    for i in range(len(names)):
+        axis.plot(
+            across[i : i + 1], up[i : i + 1], _SHAPES[i % len(_SHAPES)], ms=6.5,
+            color=builder_colour(i), zorder=3, mec="white", mew=0.5, gid=gids[i] if gids else None,
+        )  # fmt: skip
+    axis.margins(0.16, 0.1)
+    _label_points(axis, names, across, up)
+
+
+def _label_points(axis: Axes, labels: Sequence[str], x: F64, y: F64) -> None:
+    """Name the points where there is room: near each, clear of the others and their names."""
+    low, high = (np.array(limits) for limits in zip(axis.get_xlim(), axis.get_ylim(), strict=True))
+    box = axis.get_window_extent()
+    size = np.array([box.width, box.height]) * 72 / axis.figure.dpi
+    points = (np.stack([x, y], axis=1) - low) / (high - low) * size
+    marks = np.concatenate([points - 4, points + 4], axis=1)
+    taken: list[F64] = []
+    for i in np.argsort(points[:, 1]):
+        half = np.array([2.3 * len(labels[i]), 4.5])  # of the text, about
+        others = np.array([*taken, *np.delete(marks, i, axis=0)])
+        places = []
+        for radius in (5, 12, 20, 30):
+            for direction in _DIRECTIONS:
+                centre = points[i] + np.sign(direction) * half + radius * np.array(direction)
+                rectangle = np.concatenate([centre - half, centre + half])
+                outside = np.maximum(-rectangle[:2], 0) + np.maximum(rectangle[2:] - size, 0)
+                cost = 10 * outside.sum() + _overlap(rectangle, others) + radius
+                places.append((cost, radius, centre, rectangle))
+        _, radius, centre, rectangle = min(places, key=lambda place: place[0])
+        taken.append(rectangle)
+        if radius > 5:
+            nearest = np.clip(points[i], rectangle[:2], rectangle[2:])
+            ends = np.stack([points[i], nearest]) / size * (high - low) + low
+            axis.plot(ends[:, 0], ends[:, 1], color="#888888", lw=0.6, zorder=2)
+        x_text, y_text = centre / size * (high - low) + low
+        axis.text(x_text, y_text, labels[i], fontsize=8, ha="center", va="center", zorder=4)
+
+
+def _overlap(one: F64, many: F64) -> float:
+    """Area of a rectangle (two corners) that lies in others, summed."""
+    if not len(many):
+        return 0.0
+    edges = np.minimum(one[2:], many[:, 2:]) - np.maximum(one[:2], many[:, :2])
+    return float(np.maximum(edges, 0).prod(axis=1).sum())
+
+
+def depth_curves(
+    axis: Axes, curves: Mapping[str, npt.ArrayLike], gids: Sequence[str] | None = None
+) -> None:
+    """Draw a curve per builder over the depth of the tree.
+
+    Parameters
+    ----------
+    axis : Axes
+    curves : mapping of label to (D,) array
+    gids : sequence of str, optional
+        Group ids of the curves in an SVG.
+    """
+    for i, (label, values) in enumerate(curves.items()):
+        axis.plot(
+            np.asarray(values), lw=1.5, color=builder_colour(i), ls=_DASHES[i % len(_DASHES)],
+            label=label, gid=gids[i] if gids else None,
+        )  # fmt: skip
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
