@@ -21,6 +21,7 @@ from mibvh.builders.treelet import (
     _improve_all,
     _solve,
     nodes_above,
+    owners,
     rearrange,
     start_over,
     subtree_costs,
@@ -261,7 +262,7 @@ def test_leaves_hold_a_triangle_once_and_that_is_what_they_cost(owner, max_leaf)
         boxes = np.concatenate([refs.lower, refs.upper], axis=1)
         left, right, reference, count, box = depth_first(radix_draft(refs))
         cost = subtree_costs(left, right, box, count, *costs)
-        owner_of = np.where(left < 0, refs.triangle[reference], -1)
+        owner_of = owners(refs.triangle, left, reference)
         root, end = np.zeros(1, np.int32), np.ones(1, np.int64)
         _improve_all(root, end, len(owner), owner_of, left, right, box, count, cost, *costs)
         least = cheapest_with_parts(boxes, owner, *costs)

@@ -141,17 +141,18 @@ def _join_parts(node, tips, tip, spare, owner, left, right, box, count, cost, co
         # They will be one leaf of the tree, so a chain is as good as anything.
         parent = node if j == 0 else spare[j - 1]
         left[parent], right[parent] = tips[j], last
-        _refit(parent, left, right, box, count, cost, costs)
+        _refit(parent, owner, left, right, box, count, cost, costs)
         last = parent
 
 
 @njit
-def _refit(node, left, right, box, count, cost, costs):
-    """Compute box, references and cost of a node from its children."""
+def _refit(node, owner, left, right, box, count, cost, costs):
+    """Compute owner, box, references and cost of a node from its children."""
     a, b = left[node], right[node]
     for k in range(3):
         box[node, k] = min(box[a, k], box[b, k])
         box[node, k + 3] = max(box[a, k + 3], box[b, k + 3])
+    owner[node] = max(owner[a], owner[b])
     count[node] = count[a] + count[b]
     cost[node] = _node_cost(node, left, right, box, count, cost, *costs)
 
@@ -169,7 +170,7 @@ def join_small(owner, left, right, box, count, cost, c_inner, c_tri, max_leaf):
         if left[node] < 0:
             cost[node] = _node_cost(node, left, right, box, count, cost, *costs)
             continue
-        _refit(node, left, right, box, count, cost, costs)
+        _refit(node, owner, left, right, box, count, cost, costs)
         if count[left[node]] > max_leaf or count[right[node]] > max_leaf:
             continue
         tip, _ = _below(node, left, right, tips, 0, spare, 0)
@@ -181,17 +182,21 @@ def join_small(owner, left, right, box, count, cost, c_inner, c_tri, max_leaf):
 
 @njit
 def _find_repeats(size, lane, leaves, owner, left, right, count, max_leaf, work, s_again):
-    """Count, for every subset of a treelet's leaves, the references it could do without."""
+    """Count, for every subset of a treelet's leaves, the references it could do without.
+
+    Only parts of split triangles can be such, and most subtrees hold none.
+    """
     tips, spare, keys = work
     s_again[:, lane] = 0.0
     used = 0
     for i in range(size):
         # A larger subtree is not in any leaf.
-        if count[leaves[i, lane]] <= max_leaf:
+        if count[leaves[i, lane]] <= max_leaf and owner[leaves[i, lane]] >= 0:
             tip, _ = _below(leaves[i, lane], left, right, tips, 0, spare, 0)
             for j in range(tip):
-                keys[used] = np.int64(owner[tips[j]]) << 3 | i
-                used += 1
+                if owner[tips[j]] >= 0:
+                    keys[used] = np.int64(owner[tips[j]]) << 3 | i
+                    used += 1
     keys[:used].sort()
     begin = 0
     while begin < used:
@@ -238,7 +243,7 @@ def _solve(size, owner, c_inner, c_tri, max_leaf, s_box, s_count, s_again, s_cos
     size : int
         Leaves of a treelet, n.
     owner : (2R - 1,) int32, or None
-        None where no triangle is split, and there is nothing in ``s_again``.
+        From :func:`owners`; None where no triangle is split, and there is nothing in ``s_again``.
     c_inner, c_tri, max_leaf : float, float, int
         The costs.
     s_box : (2**n, 6, 8) float32
@@ -360,6 +365,7 @@ def _rebuild(size, lane, leaves, inner, owner, left, right, box, count, cost, co
             node = inner[i, lane]
             if left[node] >= 0:
                 count[node] = count[left[node]] + count[right[node]]
+                owner[node] = max(owner[left[node]], owner[right[node]])
 
 
 @njit
@@ -485,35 +491,72 @@ def _improve_subtrees(
 
 
 @njit
-def _reached(left, right):
-    """(2R - 1,) bool: whether a node still belongs to the tree."""
-    reached = np.zeros(len(left), np.bool_)
+def _names(left, right):
+    """New numbers of the nodes that still belong to the tree, in their order; -1 for others.
+
+    Returns them, and how many there are.
+    """
+    name = np.full(len(left), -1, np.int32)
     stack = np.empty(len(left) // 2 + 1, np.int32)
     stack[0], top = 0, 1
     while top > 0:
         top -= 1
         node = stack[top]
-        reached[node] = True
+        name[node] = 0
         if left[node] >= 0:
             stack[top], stack[top + 1] = left[node], right[node]
             top += 2
-    return reached
+    used = 0
+    for node in range(len(left)):
+        if name[node] == 0:
+            name[node], used = used, used + 1
+    return name, used
+
+
+@njit
+def _compact(name, used, owner, left, right, box):
+    """Links and leaves of the nodes that have a name."""
+    links = np.full((3, used), -1, np.int32)
+    bounds = np.empty((2, used // 2 + 1, 3), np.float32)
+    triangle = np.empty(used // 2 + 1, np.int32)
+    leaves = 0
+    for node in range(len(left)):
+        new = name[node]
+        if new < 0:
+            continue
+        if left[node] >= 0:
+            links[0, new], links[1, new] = name[left[node]], name[right[node]]
+            continue
+        links[2, new] = leaves
+        triangle[leaves] = max(owner[node], ~owner[node])
+        for k in range(3):
+            bounds[0, leaves, k], bounds[1, leaves, k] = box[node, k], box[node, k + 3]
+        leaves += 1
+    return links, bounds, triangle
+
+
+def owners(triangle: I32, left: I32, reference: I32) -> I32 | None:
+    """Say whose parts the leaf nodes are.
+
+    Returns
+    -------
+    (2R - 1,) int32, or None
+        At a leaf node, the triangle if it is split, and ``~triangle`` if it is not. Further
+        up, where :func:`join_small` has been, not negative wherever some part of a split
+        triangle is below. None if no triangle is split: compiled code without it counts
+        references, not triangles.
+    """
+    times = np.bincount(triangle)
+    if times.max() == 1:
+        return None
+    value = np.where(times[triangle] > 1, triangle, ~triangle)
+    return np.where(left < 0, value[reference], np.int32(-1))
 
 
 def without_joined(scale: float, owner: I32, left: I32, right: I32, box: F32) -> Draft:
     """Make the draft whose references are the leaves that are left."""
-    reached = _reached(left, right)
-    name = np.cumsum(reached, dtype=np.int32) - np.int32(1)
-    leaf = left[reached] < 0
-    left, right, box = (array[reached] for array in (left, right, box))
-    boxes = np.ascontiguousarray(box[leaf])
-    references = References(boxes[:, :3].copy(), boxes[:, 3:].copy(), owner[reached][leaf], scale)
-    return Draft(
-        references,
-        np.where(leaf, -1, name[left]),
-        np.where(leaf, -1, name[right]),
-        np.where(leaf, np.cumsum(leaf) - 1, -1).astype(np.int32),
-    )
+    links, bounds, triangle = _compact(*_names(left, right), owner, left, right, box)
+    return Draft(References(*bounds, triangle, scale), *links)
 
 
 def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draft:
@@ -537,10 +580,8 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
     costs = (options.c_inner, options.c_tri, options.max_leaf)
     left, right, reference, count, box = depth_first(draft)
     cost = subtree_costs(left, right, box, count, *costs)
-    triangle = draft.references.triangle
-    owner = None  # compiled code without it counts references, not triangles
-    if options.rounds and np.bincount(triangle).max() > 1:
-        owner = np.where(left < 0, triangle[reference], -1)
+    owner = owners(draft.references.triangle, left, reference) if options.rounds else None
+    if owner is not None:
         join_small(owner, left, right, box, count, cost, *costs)
     # A scene of fewer triangles is a smaller treelet.
     size = min(options.size, int(count[0]))
