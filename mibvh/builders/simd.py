@@ -228,3 +228,34 @@ def half_area_exact(typing: Any, box: Any) -> Any:
         return build.fadd(build.fadd(build.fmul(x, y), build.fmul(y, z)), build.fmul(z, x))
 
     return types.float64(box), generate
+
+
+@intrinsic
+def grid(typing: Any, box: Any, origin: Any, factor: Any, least: Any, greatest: Any) -> Any:
+    """Return ``(box - origin) * factor`` rounded up, between ``least`` and ``greatest``.
+
+    By lane, all five being boxes. With negative factors and the upper corner negated, the
+    lower lanes come out as minus the cell that the box begins in, the upper ones as the
+    cell behind its end.
+    """
+
+    def generate(context, build, signature, values):
+        scaled = build.fmul(build.fsub(values[0], values[1]), values[2])
+        kind = ir.FunctionType(_VECTOR, [_VECTOR])
+        ceil = cgutils.get_or_insert_function(build.module, kind, "llvm.ceil.v8f32")
+        cells = build.call(ceil, [scaled])
+        cells = build.select(build.fcmp_ordered(">", cells, values[3]), cells, values[3])
+        return build.select(build.fcmp_ordered("<", cells, values[4]), cells, values[4])
+
+    return _box(box, origin, factor, least, greatest), generate
+
+
+@intrinsic
+def lane(typing: Any, box: Any, index: Any) -> Any:
+    """Return one lane, a whole number, as an integer."""
+
+    def generate(context, build, signature, values):
+        value = build.extract_element(values[0], values[1])
+        return build.fptosi(value, context.get_value_type(types.intp))
+
+    return types.intp(box, types.intp), generate

@@ -32,7 +32,7 @@ _LEVELS = 21
 # ------------------------------------------------------------------ the primitive
 
 
-@njit
+@njit(allocates=False)
 def round_down(value):
     """Largest float32 not above a float64."""
     rounded = np.float32(value)
@@ -41,7 +41,7 @@ def round_down(value):
     return rounded
 
 
-@njit
+@njit(allocates=False)
 def round_up(value):
     """Smallest float32 not below a float64."""
     rounded = np.float32(value)
@@ -50,7 +50,7 @@ def round_up(value):
     return rounded
 
 
-@njit
+@njit(allocates=False)
 def _cut(polygon, size, axis, plane, side, spare):
     """Keep the part of a convex polygon with ``side * x[axis] >= side * plane``.
 
@@ -83,7 +83,7 @@ def _cut(polygon, size, axis, plane, side, spare):
     return kept
 
 
-@njit
+@njit(allocates=False)
 def clip_to_box(corners, triangle, scale, boxes, row, polygon, spare):
     """Write the part of a triangle inside a box; return its number of corners (0: none).
 
@@ -110,7 +110,7 @@ def clip_to_box(corners, triangle, scale, boxes, row, polygon, spare):
     return size
 
 
-@njit
+@njit(allocates=False)
 def split_reference(corners, triangle, scale, boxes, row, axis, plane, left, right, polygon, spare):
     """Cut a reference at an axis plane and box both parts.
 
@@ -158,7 +158,7 @@ def split_reference(corners, triangle, scale, boxes, row, axis, plane, left, rig
     return found
 
 
-@njit
+@njit(allocates=False)
 def _box_of_half(polygon, size, axis, cut, half, boxes, row, out):
     """Box the corners on one side of the plane and the points where edges cross it."""
     side = 1.0 - 2.0 * half

@@ -7,7 +7,7 @@ most even one, then the lower axis, then the lower position).
 
 Stages
 ------
-1. Sort the references once per axis (:func:`_sort_axes`), by box centre, then by index. The
+1. Sort the references once per axis (:func:`sort_axes`), by box centre, then by index. The
    sorted lists hold the boxes themselves, so that everything after reads memory in order.
 2. Sweep each axis (:func:`_sweep`), from both ends to the middle and on to the other ends.
    A side's ``A N`` only grows with the side, so a sweep ends, and the far splits are out,
@@ -34,7 +34,7 @@ from mibvh.builders.simd import half_area, load, load_corners, nothing, store, u
 from mibvh.triangles import F32, I32, Triangles
 
 #: Up to so many references, the three axes are swept side by side.
-_SMALL = 16
+SMALL = 16
 
 #: Subtrees smaller than this are not worth a task of their own.
 _TASK = 4096
@@ -45,9 +45,10 @@ _TASKS_PER_THREAD = 16
 #: References built between two reports of progress.
 _BATCH = 1_000_000
 
-#: A reference's id stands in the spare lane of its box as the id-th float after one: ids
-#: compare as floats, and no arithmetic meets a denormal number.
-_ID_ZERO = np.int32(0x3F800000)
+#: A reference's id stands in the first spare lane of its box as the id-th float after one:
+#: ids compare as floats, and no arithmetic meets a denormal number. So does its triangle's
+#: in the second, for `sbvh`.
+ID_ZERO = np.int32(0x3F800000)
 
 I64 = npt.NDArray[np.int64]
 
@@ -60,20 +61,20 @@ def _sort_axis(lower, upper, axis, lists):
     centers = lower[:, axis] + upper[:, axis]
     order = argsort_keys(float_keys(centers), 32)
     ids = lists.view(np.int32)
-    first = np.uint64(axis * n)
+    first = np.uint64(axis * (len(lists) // 6))
     for i in range(np.uint64(n)):
         store(lists, first + i, load_corners(lower, upper, np.uint64(order[i])))
-        ids[first + i, 3] = order[i] + _ID_ZERO
+        ids[first + i, 3] = ids[first + i, 7] = order[i] + ID_ZERO
 
 
 @njit(parallel=True)
-def _sort_axes(lower, upper, lists):
-    """Fill the first set of lists."""
+def sort_axes(lower, upper, lists):
+    """Fill the first set of lists: (6 N, 8) float32, or more rows for more references."""
     for axis in numba.prange(3):
         _sort_axis(lower, upper, axis, lists)
 
 
-@njit
+@njit(allocates=False)
 def _better(cost, even, axis, at, best):
     """Whether a split of no greater cost than the best goes before it."""
     best_cost, best_even, best_axis, best_at = best
@@ -82,7 +83,7 @@ def _better(cost, even, axis, at, best):
     return axis < best_axis or (axis == best_axis and at < best_at)
 
 
-@njit
+@njit(allocates=False)
 def _sweep(lists, first, n, axis, best, areas):
     """Try the splits of one axis.
 
@@ -168,9 +169,25 @@ def _sweep(lists, first, n, axis, best, areas):
     return best
 
 
-@njit
-def _best_split(lists, first, total, n, areas):
-    """Sweep the three axes, that of the farthest centres first: it bounds the others best."""
+@njit(allocates=False)
+def best_split(lists, first, total, n, areas):
+    """Find the best object split of a node.
+
+    Parameters
+    ----------
+    lists : (6 N, 8) float32
+    first, total, n : uint64
+        The node's first row on axis 0, from there to that on the next, and its references.
+    areas : (max(n, 3 SMALL),) float32
+        Scratch.
+
+    Returns
+    -------
+    (cost, unevenness, axis, number of references on the left)
+    """
+    if n <= SMALL:
+        return _best_split_small(lists, first, total, n, areas)
+    # The axis of the farthest centres first: it bounds the others best.
     widest, width = 0, np.float32(-1)
     for axis in range(3):
         row = first + np.uint64(axis) * total
@@ -187,7 +204,7 @@ def _best_split(lists, first, total, n, areas):
     return best
 
 
-@njit
+@njit(allocates=False)
 def _best_split_small(lists, first, total, n, areas):
     """Sweep the three axes side by side: for few references, loops cost more than sweeps."""
     one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
@@ -225,26 +242,39 @@ def _best_split_small(lists, first, total, n, areas):
     return best
 
 
-@njit
+@njit(allocates=False)
 def _goes_left(lists, row, axis, bound, bound_id):
     """Whether a reference does not come behind the last one on the left."""
     center = lists[row, axis] - lists[row, axis + 4]
     return (center < bound) | ((center == bound) & (lists[row, 3] <= bound_id))
 
 
-@njit
-def _part(lists, source, target, total, n, axis, at):
-    """Write the lists of a node to the other set, those left of the split first."""
+@njit(allocates=False)
+def part(lists, source, left_target, right_target, total, n, axis, at):
+    """Write the lists of a node to the other set: the first ``at`` of one axis and the rest.
+
+    Parameters
+    ----------
+    lists : (6 N, 8) float32
+    source, left_target, right_target : uint64
+        First rows on axis 0.
+    total, n, at : uint64
+    axis : int
+    """
+    if n <= SMALL:
+        _part_small(lists, source, left_target, right_target, total, n, axis, at)
+        return
     row = source + np.uint64(axis) * total + at - np.uint64(1)
     bound, bound_id = lists[row, axis] - lists[row, axis + 4], lists[row, 3]
     one = np.uint64(1)
     for k in range(np.uint64(3)):
-        row, left = source + k * total, target + k * total
+        row, left, right = source + k * total, left_target + k * total, right_target + k * total
         if k == axis:
-            for i in range(n):
+            for i in range(at):
                 store(lists, left + i, load(lists, row + i))
+            for i in range(n - at):
+                store(lists, right + i, load(lists, row + at + i))
             continue
-        right = left + at
         for end in range(row, row + n):
             is_left = _goes_left(lists, end, axis, bound, bound_id)
             store(lists, left if is_left else right, load(lists, end))
@@ -253,14 +283,14 @@ def _part(lists, source, target, total, n, axis, at):
             right += one - step
 
 
-@njit
-def _part_small(lists, source, target, total, n, axis, at):
+@njit(allocates=False)
+def _part_small(lists, source, left_target, right_target, total, n, axis, at):
     """Do the same with the three lists side by side."""
     row = source + np.uint64(axis) * total + at - np.uint64(1)
     bound, bound_id = lists[row, axis] - lists[row, axis + 4], lists[row, 3]
     y, z = total, np.uint64(2) * total
-    left_a, left_b, left_c = target, target + y, target + z
-    right_a, right_b, right_c = left_a + at, left_b + at, left_c + at
+    left_a, left_b, left_c = left_target, left_target + y, left_target + z
+    right_a, right_b, right_c = right_target, right_target + y, right_target + z
     one = np.uint64(1)
     for end in range(source, source + n):
         is_left = _goes_left(lists, end, axis, bound, bound_id)
@@ -274,18 +304,14 @@ def _part_small(lists, source, target, total, n, axis, at):
         left_c, right_c = left_c + np.uint64(is_left), right_c + one - np.uint64(is_left)
 
 
-@njit
+@njit(allocates=False)
 def _split(lists, total, begin, n, side, areas):
     """Split one node and part its lists; return how many references go left."""
     source = np.uint64(begin + 3 * total * side)
     target = np.uint64(begin + 3 * total * (1 - side))
     rows, count = np.uint64(total), np.uint64(n)
-    if n <= _SMALL:
-        _, _, axis, at = _best_split_small(lists, source, rows, count, areas)
-        _part_small(lists, source, target, rows, count, axis, np.uint64(at))
-    else:
-        _, _, axis, at = _best_split(lists, source, rows, count, areas)
-        _part(lists, source, target, rows, count, axis, np.uint64(at))
+    _, _, axis, at = best_split(lists, source, rows, count, areas)
+    part(lists, source, target, target + np.uint64(at), rows, count, axis, np.uint64(at))
     return at
 
 
@@ -293,7 +319,7 @@ def _split(lists, total, begin, n, side, areas):
 def _subtree(lists, total, begin, n, node, side, left, right, reference):
     """Build all below one node."""
     ids = lists.view(np.int32)
-    areas = np.empty(max(n, 3 * _SMALL), np.float32)
+    areas = np.empty(max(n, 3 * SMALL), np.float32)
     stack = np.empty((64, 4), np.int64)
     top = np.uint64(0)
     one = np.uint64(1)
@@ -322,9 +348,9 @@ def _subtree(lists, total, begin, n, node, side, left, right, reference):
             # All splits are equal, so the lowest axis decides.
             left[node], right[node], reference[node] = node + 1, node + 2, -1
             left[node + 2], right[node + 2] = -1, -1
-            reference[node + 2] = ids[row + one, 3] - _ID_ZERO
+            reference[node + 2] = ids[row + one, 3] - ID_ZERO
             node += 1
-        left[node], right[node], reference[node] = -1, -1, ids[row, 3] - _ID_ZERO
+        left[node], right[node], reference[node] = -1, -1, ids[row, 3] - ID_ZERO
         if top == np.uint64(0):
             break
         top -= one
@@ -337,7 +363,7 @@ def _split_all(lists, total, tasks, starts, left, right, reference, children):
     for g in numba.prange(len(starts) - 1):
         for i in range(starts[g], starts[g + 1]):
             begin, n, node, side = tasks[i]
-            areas = np.empty(max(n, 3 * _SMALL), np.float32)
+            areas = np.empty(max(n, 3 * SMALL), np.float32)
             at = _split(lists, total, begin, n, side, areas)
             left[node], right[node], reference[node] = node + 1, node + 2 * at, -1
             children[i, 0] = begin, at, node + 1, 1 - side
@@ -399,7 +425,7 @@ def bbvh(triangles: Triangles, options: Options, context: Context) -> Draft:
     refs = References.of(triangles)
     lists = np.empty((6 * len(refs), 8), np.float32)
     context.progress("sort", 0.0)
-    _sort_axes(refs.lower, refs.upper, lists)
+    sort_axes(refs.lower, refs.upper, lists)
     links = tuple(np.empty(2 * len(refs) - 1, np.int32) for _ in range(3))
     _build(lists, links, context)
     return Draft(refs, *links)

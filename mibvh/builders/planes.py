@@ -1,0 +1,369 @@
+"""The best plane to cut a node at: chopped binning of the references, for spatial splits.
+
+Stich, Friedrich, Dietrich: *Spatial Splits in Bounding Volume Hierarchies* (HPG 2009),
+section 4.1. Every plane between the bins of each axis has the cost
+``A_left N_left + A_right N_right``, N by counting where references begin and end, A by the
+boxes of what lies on either side when every reference is chopped exactly at the plane.
+
+Chopping is dear, and most nodes have no plane that pays. So the references are first entered
+by their corners alone (:func:`_enter_all`): boxes of those are too small, and bound the cost
+from below. Only where a plane may pay even so, the references across planes are chopped
+(:func:`_chop_all`), on one axis after the other, the most promising first.
+
+Planes that no reference is across are not tried: they are object splits, which the full
+sweep has seen.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mibvh._jit import njit
+from mibvh.builders.simd import (
+    between,
+    grid,
+    half_area,
+    lane,
+    load,
+    load_point,
+    nothing,
+    store,
+    union,
+    widen,
+)
+from mibvh.builders.splitting import MAX_CORNERS, clip_to_box
+from mibvh.builders.sweep import ID_ZERO
+
+
+class Bins(NamedTuple):
+    """Scratch of one thread. B is the number of bins; planes bound them from below."""
+
+    box: Any  #: (3 B, 8) float32: union of what lies inside one bin
+    cut: Any  #: (3 B, 8) float32: union of the sections at each plane
+    begins: Any  #: (3 B,) int32: references that begin in the bin
+    ends: Any  #: (3 B,) int32
+    area: Any  #: (B,) float32: at each plane, half the area of the right side
+    frame: Any  #: (4, 8) float32: what takes boxes to bins
+    polygon: Any  #: (MAX_CORNERS, 3) float64
+    spare: Any  #: (MAX_CORNERS, 3) float64
+    points: Any  #: (MAX_CORNERS, 8) float32: corners, as boxes
+    rows: Any  #: (R,) uint32: references across planes
+    bounds: Any  #: (3,) float32: least cost on each axis
+    spans: Any  #: (3, 2) int64: first and last plane that references are across
+    halves: Any  #: (3, 8) float32: boxes of a split's left and right side, and of both
+    parts: Any  #: (2, A, 8) float32: left and right parts of cut references
+
+
+@njit
+def new_bins(most, references, added):
+    """Scratch for so many bins, and for nodes of so many references, some of them added."""
+    return Bins(
+        np.empty((3 * most, 8), np.float32),
+        np.empty((3 * most, 8), np.float32),
+        np.empty(3 * most, np.int32),
+        np.empty(3 * most, np.int32),
+        np.empty(most, np.float32),
+        np.empty((4, 8), np.float32),
+        np.empty((MAX_CORNERS, 3), np.float64),
+        np.empty((MAX_CORNERS, 3), np.float64),
+        np.zeros((MAX_CORNERS, 8), np.float32),
+        np.empty(references, np.uint32),
+        np.empty(3, np.float32),
+        np.empty((3, 2), np.int64),
+        np.empty((3, 8), np.float32),
+        np.empty((2, added, 8), np.float32),
+    )
+
+
+@njit(allocates=False)
+def _set_frame(origin, extent, count, frame):
+    """Write what takes a box to its bins: origin, scale, and the least and greatest bins."""
+    frame[:] = 0
+    for k in range(3):
+        # On an axis of no extent, all is in the first bin.
+        inverse = np.float32(count) / extent[k] if extent[k] > 0 else np.float32(0)
+        frame[0, k], frame[0, k + 4] = origin[k], -origin[k]
+        frame[1, k], frame[1, k + 4] = -inverse, -inverse
+        frame[2, k], frame[2, k + 4] = 1 - count, 1
+        frame[3, k], frame[3, k + 4] = 0, count
+
+
+@njit(allocates=False)
+def _span(cells, k):
+    """First and last bin of a box on an axis; one that ends at a plane is not in the bin behind."""
+    first = -lane(cells, k)
+    return first, max(lane(cells, k + 4) - 1, first)
+
+
+@njit(allocates=False)
+def _enter_point(point, cells, x, y, z, on_y, on_z, bin_box):
+    """Enter a corner of a reference that is in bins x, y and z (each the first and the last)."""
+    widen(bin_box, min(max(-lane(cells, 0), x[0]), x[1]), point)
+    widen(bin_box, on_y + min(max(-lane(cells, 1), y[0]), y[1]), point)
+    widen(bin_box, on_z + min(max(-lane(cells, 2), z[0]), z[1]), point)
+
+
+@njit(allocates=False)
+def _clipped_triangle(corners, triangle, scale, lists, row, polygon, spare, points):
+    """Write the corners of a triangle's part inside a box, as boxes; return their number."""
+    size = clip_to_box(corners, triangle, scale, lists, row, polygon, spare)
+    for i in range(size):
+        store(points, i, load_point(polygon, i, 1.0))
+    return size
+
+
+@njit(allocates=False)
+def _enter_all(
+    corners, scale, lists, first, n, count, most,
+    bin_box, bin_cut, begins, ends, frame, polygon, spare, points, rows,
+):  # fmt: skip
+    """Enter a node's references into ``count`` bins on each axis, those across planes by corners.
+
+    All arrays by themselves: a tuple of arrays is dear to hand on for each reference.
+
+    Returns
+    -------
+    int
+        How many are across planes; ``rows`` has theirs.
+    """
+    for k in range(3):
+        for e in range(k * most, k * most + count):
+            store(bin_box, e, nothing())
+            store(bin_cut, e, nothing())
+            begins[e] = 0
+            ends[e] = 0
+    origin, factor, least, greatest = load(frame, 0), load(frame, 1), load(frame, 2), load(frame, 3)
+    ids = lists.view(np.int32)
+    whole_triangles = np.int32(len(corners)) + ID_ZERO
+    on_y, on_z = most, 2 * most
+    across = 0
+    for row in range(first, first + n):
+        box = load(lists, row)
+        cells = grid(box, origin, factor, least, greatest)
+        x, y, z = _span(cells, 0), _span(cells, 1), _span(cells, 2)
+        begins[x[0]] += 1
+        ends[x[1]] += 1
+        begins[on_y + y[0]] += 1
+        ends[on_y + y[1]] += 1
+        begins[on_z + z[0]] += 1
+        ends[on_z + z[1]] += 1
+        if x[0] == x[1]:
+            widen(bin_box, x[0], box)
+        if y[0] == y[1]:
+            widen(bin_box, on_y + y[0], box)
+        if z[0] == z[1]:
+            widen(bin_box, on_z + z[0], box)
+        if x[0] == x[1] and y[0] == y[1] and z[0] == z[1]:
+            continue
+        rows[across] = row
+        across += 1
+        triangle = np.int64(ids[row, 7] - ID_ZERO)
+        if ids[row, 3] < whole_triangles:
+            for i in range(3):
+                point = load_point(corners, 3 * triangle + i, scale)
+                at = grid(point, origin, factor, least, greatest)
+                _enter_point(point, at, x, y, z, on_y, on_z, bin_box)
+            continue
+        size = _clipped_triangle(corners, triangle, scale, lists, row, polygon, spare, points)
+        for i in range(size):
+            point = load(points, i)
+            at = grid(point, origin, factor, least, greatest)
+            _enter_point(point, at, x, y, z, on_y, on_z, bin_box)
+    return across
+
+
+@njit(allocates=False)
+def _enter_crossing(p, x, a, q, q_x, b, origin, width, base, bin_cut):
+    """Enter the points at which an edge from bin a to bin b crosses the planes between."""
+    if a == b:
+        return
+    # From the lower end, so that triangles with a common edge are cut at one point.
+    low, low_x, low_bin, high_bin = (p, x, a, b) if a < b else (q, q_x, b, a)
+    high = q if a < b else p
+    per = np.float32(1) / abs(q_x - x)
+    for e in range(low_bin + 1, high_bin + 1):
+        share = (origin + np.float32(e) * width - low_x) * per
+        share = min(max(share, np.float32(0)), np.float32(1))
+        widen(bin_cut, base + e, between(low, high, share))
+
+
+@njit(allocates=False)
+def _bin_of(x, origin, inverse, first, last):
+    """Bin of a coordinate, of those that a reference is in."""
+    return min(max(np.int64((x - origin) * inverse), first), last)
+
+
+@njit(allocates=False)
+def _chop_all(
+    corners, scale, lists, across, count, most, axis, origin, extent,
+    bin_cut, frame, polygon, spare, points, rows,
+):  # fmt: skip
+    """Enter the sections of a node's references at the planes of one axis."""
+    ids = lists.view(np.int32)
+    whole_triangles = np.int32(len(corners)) + ID_ZERO
+    to_bins = load(frame, 0), load(frame, 1), load(frame, 2), load(frame, 3)
+    width, inverse = extent / np.float32(count), np.float32(count) / extent
+    base = axis * most
+    for i in range(across):
+        row = np.int64(rows[i])
+        cells = grid(load(lists, row), to_bins[0], to_bins[1], to_bins[2], to_bins[3])
+        first, last = _span(cells, axis)
+        if first == last:
+            continue
+        triangle, size = np.int64(ids[row, 7] - ID_ZERO), 3
+        if ids[row, 3] < whole_triangles:
+            # Stored whole: a vector load of what was just stored in pieces has to wait.
+            for j in range(3):
+                store(points, j, load_point(corners, 3 * triangle + j, scale))
+        else:
+            size = _clipped_triangle(corners, triangle, scale, lists, row, polygon, spare, points)
+        if size == 0:
+            continue
+        p, x = load(points, size - 1), points[size - 1, axis]
+        a = _bin_of(x, origin, inverse, first, last)
+        for j in range(size):
+            q, q_x = load(points, j), points[j, axis]
+            b = _bin_of(q_x, origin, inverse, first, last)
+            _enter_crossing(p, x, a, q, q_x, b, origin, width, base, bin_cut)
+            p, x, a = q, q_x, b
+
+
+@njit(allocates=False)
+def _reach_planes(n, count, axis, origin, width, base, bin_cut, begins, ends):
+    """Let both sides of each plane that references are across reach to the plane.
+
+    Returns
+    -------
+    (first, last)
+        Planes that references are across; the first above the last if there is none.
+    """
+    n_left, n_right = 0, n
+    first, last = count, 0
+    for e in range(1, count):
+        n_left += begins[base + e - 1]
+        n_right -= ends[base + e - 1]
+        if n_left + n_right > n:
+            plane = origin + np.float32(e) * width
+            bin_cut[base + e, axis] = plane
+            bin_cut[base + e, axis + 4] = -plane
+            first, last = min(first, e), e
+    return first, last
+
+
+@njit(allocates=False)
+def _sweep_planes(
+    n, slack, count, base, first, last, limit, bin_box, bin_cut, begins, ends, areas
+):  # fmt: skip
+    """Try the planes of one axis from the first to the last; return the best (cost, plane).
+
+    Planes that would add more references than there is room for are left out. A side's
+    ``A N`` only grows with the side, so where one side alone costs more than the limit, so
+    do the planes beyond.
+    """
+    side = nothing()
+    n_right = 0
+    for e in range(count - 1, last, -1):
+        side = union(side, load(bin_box, base + e))
+        n_right += ends[base + e]
+    out = first - 1
+    for e in range(last, first - 1, -1):
+        side = union(side, load(bin_box, base + e))
+        n_right += ends[base + e]
+        areas[e] = half_area(union(side, load(bin_cut, base + e)))
+        if areas[e] * np.float32(n_right) > limit:
+            out = e
+            break
+    best, at = limit, 0
+    side = nothing()
+    n_left, n_right = 0, n
+    for e in range(1, last + 1):
+        side = union(side, load(bin_box, base + e - 1))
+        n_left += begins[base + e - 1]
+        n_right -= ends[base + e - 1]
+        if e <= out or n_left + n_right == n or n_left + n_right - n > slack:
+            continue
+        cost = half_area(union(side, load(bin_cut, base + e))) * np.float32(n_left)
+        if cost > best:
+            break
+        cost += areas[e] * np.float32(n_right)
+        if cost < best:
+            best, at = cost, e
+    return best, at
+
+
+@njit(allocates=False)
+def best_plane(corners, scale, lists, first, n, slack, count, whole, limit, bins):
+    """Find the best plane to cut a node at.
+
+    Parameters
+    ----------
+    corners : (N, 3, 3) float32
+        The mesh, in scene units.
+    scale : float64
+        From scene to builder units.
+    lists : (6 R, 8) float32
+        References, as in :mod:`mibvh.builders.sweep`; ids from N on are parts of triangles.
+    first, n : int
+        Rows of the node's references, in any order.
+    slack : int
+        How many references may be added.
+    count : int
+        Number of bins on each axis.
+    whole : (8,) float32
+        The node's box.
+    limit : float32
+        What the plane must cost less than.
+    bins : Bins
+        Scratch.
+
+    Returns
+    -------
+    (axis, plane)
+        Axis -1: no plane is good enough.
+    """
+    bin_box, bin_cut, begins, ends, areas = bins.box, bins.cut, bins.begins, bins.ends, bins.area
+    most = len(areas)
+    origin = (whole[0], whole[1], whole[2])
+    extent = (-whole[4] - whole[0], -whole[5] - whole[1], -whole[6] - whole[2])
+    _set_frame(origin, extent, count, bins.frame)
+    across = _enter_all(
+        corners, scale, lists, first, n, count, most, bin_box, bin_cut, begins, ends,
+        bins.frame, bins.polygon, bins.spare, bins.points, bins.rows,
+    )  # fmt: skip
+    best, best_axis, best_at = limit, -1, 0
+    if across == 0:
+        return best_axis, np.float32(0)
+    # Bounds of the three axes by corners alone.
+    bounds, spans = bins.bounds, bins.spans
+    for k in range(3):
+        width = extent[k] / np.float32(count)
+        low, high = _reach_planes(
+            n, count, k, origin[k], width, k * most, bin_cut, begins, ends
+        )  # fmt: skip
+        spans[k, 0], spans[k, 1], bounds[k] = low, high, limit
+        if low <= high:
+            bounds[k], _ = _sweep_planes(
+                n, slack, count, k * most, low, high, limit, bin_box, bin_cut, begins, ends, areas
+            )
+    while True:
+        k = 0 if bounds[0] <= bounds[1] else 1
+        k = k if bounds[k] <= bounds[2] else 2
+        if not bounds[k] < best:
+            break
+        bounds[k] = np.inf
+        _chop_all(
+            corners, scale, lists, across, count, most, k, origin[k], extent[k],
+            bin_cut, bins.frame, bins.polygon, bins.spare, bins.points, bins.rows,
+        )  # fmt: skip
+        cost, at = _sweep_planes(
+            n, slack, count, k * most, spans[k, 0], spans[k, 1], best,
+            bin_box, bin_cut, begins, ends, areas,
+        )  # fmt: skip
+        if at > 0:
+            best, best_axis, best_at = cost, k, at
+    if best_axis < 0:
+        return best_axis, np.float32(0)
+    width = extent[best_axis] / np.float32(count)
+    return best_axis, origin[best_axis] + np.float32(best_at) * width
