@@ -7,7 +7,7 @@ boxes of what lies on either side when every reference is chopped exactly at the
 
 Chopping is dear, and most nodes have no plane that pays. So the references are first entered
 by their corners alone (:func:`_enter_all`): boxes of those are too small, and bound the cost
-from below. Only where a plane may pay even so, the references across planes are chopped
+from below. Only where planes may pay even so, the references across those are chopped
 (:func:`_chop_all`), on one axis after the other, the most promising first.
 
 Planes that no reference is across are not tried: they are object splits, which the full
@@ -51,7 +51,7 @@ class Bins(NamedTuple):
     points: Any  #: (MAX_CORNERS, 8) float32: corners, as boxes
     rows: Any  #: (R,) uint32: references across planes
     bounds: Any  #: (3,) float32: least cost on each axis
-    spans: Any  #: (3, 2) int64: first and last plane that references are across
+    spans: Any  #: (3, 2) int64: first and last plane that may pay
     halves: Any  #: (3, 8) float32: boxes of a split's left and right side, and of both
     parts: Any  #: (2, A, 8) float32: left and right parts of cut references
 
@@ -175,15 +175,15 @@ def _enter_all(
 
 
 @njit(allocates=False)
-def _enter_crossing(p, x, a, q, q_x, b, origin, width, base, bin_cut):
-    """Enter the points at which an edge from bin a to bin b crosses the planes between."""
+def _enter_crossing(p, x, a, q, q_x, b, begin, end, origin, width, base, bin_cut):
+    """Enter where an edge from bin a to bin b crosses the planes from ``begin`` to ``end``."""
     if a == b:
         return
     # From the lower end, so that triangles with a common edge are cut at one point.
     low, low_x, low_bin, high_bin = (p, x, a, b) if a < b else (q, q_x, b, a)
     high = q if a < b else p
     per = np.float32(1) / abs(q_x - x)
-    for e in range(low_bin + 1, high_bin + 1):
+    for e in range(max(low_bin + 1, begin), min(high_bin, end) + 1):
         share = (origin + np.float32(e) * width - low_x) * per
         share = min(max(share, np.float32(0)), np.float32(1))
         widen(bin_cut, base + e, between(low, high, share))
@@ -197,10 +197,10 @@ def _bin_of(x, origin, inverse, first, last):
 
 @njit(allocates=False)
 def _chop_all(
-    corners, scale, lists, across, count, most, axis, origin, extent,
+    corners, scale, lists, across, count, most, axis, begin, end, origin, extent,
     bin_cut, frame, polygon, spare, points, rows,
 ):  # fmt: skip
-    """Enter the sections of a node's references at the planes of one axis."""
+    """Enter the sections of a node's references at the planes ``begin`` to ``end`` of an axis."""
     ids = lists.view(np.int32)
     whole_triangles = np.int32(len(corners)) + ID_ZERO
     to_bins = load(frame, 0), load(frame, 1), load(frame, 2), load(frame, 3)
@@ -210,7 +210,7 @@ def _chop_all(
         row = np.int64(rows[i])
         cells = grid(load(lists, row), to_bins[0], to_bins[1], to_bins[2], to_bins[3])
         first, last = _span(cells, axis)
-        if first == last:
+        if max(first + 1, begin) > min(last, end):
             continue
         triangle, size = np.int64(ids[row, 7] - ID_ZERO), 3
         if ids[row, 3] < whole_triangles:
@@ -226,7 +226,7 @@ def _chop_all(
         for j in range(size):
             q, q_x = load(points, j), points[j, axis]
             b = _bin_of(q_x, origin, inverse, first, last)
-            _enter_crossing(p, x, a, q, q_x, b, origin, width, base, bin_cut)
+            _enter_crossing(p, x, a, q, q_x, b, begin, end, origin, width, base, bin_cut)
             p, x, a = q, q_x, b
 
 
@@ -256,11 +256,16 @@ def _reach_planes(n, count, axis, origin, width, base, bin_cut, begins, ends):
 def _sweep_planes(
     n, slack, count, base, first, last, limit, bin_box, bin_cut, begins, ends, areas
 ):  # fmt: skip
-    """Try the planes of one axis from the first to the last; return the best (cost, plane).
+    """Try the planes of one axis from the first to the last.
 
     Planes that would add more references than there is room for are left out. A side's
     ``A N`` only grows with the side, so where one side alone costs more than the limit, so
     do the planes beyond.
+
+    Returns
+    -------
+    (cost, plane, first, last)
+        The best plane, and the first and last of those that cost less than the limit.
     """
     side = nothing()
     n_right = 0
@@ -275,7 +280,7 @@ def _sweep_planes(
         if areas[e] * np.float32(n_right) > limit:
             out = e
             break
-    best, at = limit, 0
+    best, at, begin, end = limit, 0, count, 0
     side = nothing()
     n_left, n_right = 0, n
     for e in range(1, last + 1):
@@ -285,12 +290,14 @@ def _sweep_planes(
         if e <= out or n_left + n_right == n or n_left + n_right - n > slack:
             continue
         cost = half_area(union(side, load(bin_cut, base + e))) * np.float32(n_left)
-        if cost > best:
+        if cost > limit:
             break
         cost += areas[e] * np.float32(n_right)
+        if cost < limit:
+            begin, end = min(begin, e), e
         if cost < best:
             best, at = cost, e
-    return best, at
+    return best, at, begin, end
 
 
 @njit(allocates=False)
@@ -342,9 +349,9 @@ def best_plane(corners, scale, lists, first, n, slack, count, whole, limit, bins
         low, high = _reach_planes(
             n, count, k, origin[k], width, k * most, bin_cut, begins, ends
         )  # fmt: skip
-        spans[k, 0], spans[k, 1], bounds[k] = low, high, limit
+        bounds[k] = limit
         if low <= high:
-            bounds[k], _ = _sweep_planes(
+            bounds[k], _, spans[k, 0], spans[k, 1] = _sweep_planes(
                 n, slack, count, k * most, low, high, limit, bin_box, bin_cut, begins, ends, areas
             )
     while True:
@@ -354,10 +361,11 @@ def best_plane(corners, scale, lists, first, n, slack, count, whole, limit, bins
             break
         bounds[k] = np.inf
         _chop_all(
-            corners, scale, lists, across, count, most, k, origin[k], extent[k],
-            bin_cut, bins.frame, bins.polygon, bins.spare, bins.points, bins.rows,
+            corners, scale, lists, across, count, most, k, spans[k, 0], spans[k, 1],
+            origin[k], extent[k], bin_cut, bins.frame,
+            bins.polygon, bins.spare, bins.points, bins.rows,
         )  # fmt: skip
-        cost, at = _sweep_planes(
+        cost, at, _, _ = _sweep_planes(
             n, slack, count, k * most, spans[k, 0], spans[k, 1], best,
             bin_box, bin_cut, begins, ends, areas,
         )  # fmt: skip

@@ -126,7 +126,10 @@ def store_corners(typing: Any, lower: Any, upper: Any, row: Any, box: Any, facto
 
 @intrinsic
 def load_point(typing: Any, points: Any, row: Any, factor: Any) -> Any:
-    """Return a row of 3 floats of either width, times a float64 ``factor``, as a point."""
+    """Return a row of 3 floats of either width, times a float64 ``factor``, as a point.
+
+    The factor is a power of two that float32 holds, so that the product is rounded once.
+    """
 
     def generate(context, build, signature, values):
         pointer = _row(context, build, signature.args[0], values[0], values[1], 3)
@@ -134,8 +137,9 @@ def load_point(typing: Any, points: Any, row: Any, factor: Any) -> Any:
         for k in range(3):
             value = build.load(build.gep(pointer, [_constant(k)]))
             if value.type == _FLOAT:
-                value = build.fpext(value, ir.DoubleType())
-            value = build.fptrunc(build.fmul(value, values[2]), _FLOAT)
+                value = build.fmul(value, build.fptrunc(values[2], _FLOAT))
+            else:
+                value = build.fptrunc(build.fmul(value, values[2]), _FLOAT)
             result = build.insert_element(result, value, _constant(k))
             result = build.insert_element(result, build.fneg(value), _constant(4 + k))
         return result

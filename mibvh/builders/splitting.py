@@ -181,11 +181,11 @@ def _box_of_half(polygon, size, axis, cut, half, boxes, row, out):
         out[k + 4] = -max(min(round_up(high), most), least)
 
 
-def pack_boxes(references: References, room: int = 0) -> F32:
-    """(R + room, 8) float32: the rows that the compiled code of this file works on."""
-    boxes = np.zeros((len(references) + room, 8), np.float32)
-    boxes[: len(references), 0:3] = references.lower
-    boxes[: len(references), 4:7] = -references.upper
+def pack_boxes(references: References) -> F32:
+    """(R, 8) float32: the rows that the compiled code of this file works on."""
+    boxes = np.zeros((len(references), 8), np.float32)
+    boxes[:, 0:3] = references.lower
+    boxes[:, 4:7] = -references.upper
     return boxes
 
 

@@ -57,7 +57,8 @@ I64 = npt.NDArray[np.int64]
 def _sort_axis(lower, upper, axis, lists):
     """Fill the first list of one axis: the references' boxes by centre, then by index."""
     n = len(lower)
-    # Twice the centre, that is.
+    # Twice the centre, that is. Box centres, not triangle centroids: on mixed triangle sizes
+    # centroids cost a peer 21% in SAH.
     centers = lower[:, axis] + upper[:, axis]
     order = argsort_keys(float_keys(centers), 32)
     ids = lists.view(np.int32)
