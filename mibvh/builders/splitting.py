@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numba
 import numpy as np
 
 from mibvh._jit import njit
@@ -28,6 +29,8 @@ from mibvh.triangles import F32, Triangles
 MAX_CORNERS = 12
 #: Spatial median planes are told apart down to this level: the cells of 63-bit Morton codes.
 _LEVELS = 21
+#: Triangles of a block that one thread splits.
+_BLOCK = 4096
 
 # ------------------------------------------------------------------ the primitive
 
@@ -239,7 +242,7 @@ def _dominant_plane(boxes, row, origin, extent):
     return best, best_axis, best_plane
 
 
-@njit
+@njit(parallel=True)
 def _priorities(corners, scale, boxes, origin, extent):
     """(N,) float64: ``(2**i * (A_box - A_ideal)) ** (1/3)``, 0 for what cannot be split.
 
@@ -249,7 +252,7 @@ def _priorities(corners, scale, boxes, origin, extent):
     """
     n = len(corners)
     out = np.zeros(n, np.float64)
-    for t in range(n):
+    for t in numba.prange(n):
         level, _, _ = _dominant_plane(boxes, t, origin, extent)
         if level == 0:
             continue
@@ -269,12 +272,15 @@ def _priorities(corners, scale, boxes, origin, extent):
     return out
 
 
-@njit
+@njit(parallel=True)
 def _splits_at(priorities, factor):
-    """Total splits when triangle t gets ``floor(factor * p_t)`` of them."""
+    """Total splits when triangle t gets ``floor(factor * p_t)`` of them.
+
+    Whole numbers, so the sum is the same on any number of threads.
+    """
     total = 0.0
-    for p in priorities:
-        total += math.floor(factor * p)
+    for t in numba.prange(len(priorities)):
+        total += math.floor(factor * priorities[t])
     return total
 
 
@@ -300,9 +306,43 @@ def _factor_for(priorities, budget):
     return low
 
 
-@njit
+@njit(parallel=True)
 def _split_all(corners, scale, boxes, triangle, priorities, factor, origin, extent):
     """Carry the splits out; return the number of references.
+
+    Blocks of triangles write to places of their own behind the first N rows, as many as the
+    splits they may have; what they leave empty is closed up at the end.
+    """
+    n = len(corners)
+    starts = np.empty(-(-n // _BLOCK) + 1, np.int64)
+    starts[0] = n
+    for block in range(len(starts) - 1):
+        room = 0
+        for t in range(block * _BLOCK, min((block + 1) * _BLOCK, n)):
+            room += math.floor(factor * priorities[t])
+        starts[block + 1] = starts[block] + room
+    ends = np.empty(len(starts) - 1, np.int64)
+    for block in numba.prange(len(ends)):
+        first, last = block * _BLOCK, min((block + 1) * _BLOCK, n)
+        ends[block] = _split_block(
+            corners, scale, boxes, triangle, priorities, factor, origin, extent,
+            first, last, starts[block],
+        )  # fmt: skip
+    used = n
+    for block in range(len(ends)):
+        for row in range(starts[block], ends[block]):
+            if row != used:
+                boxes[used] = boxes[row]
+                triangle[used] = triangle[row]
+            used += 1
+    return used
+
+
+@njit
+def _split_block(
+    corners, scale, boxes, triangle, priorities, factor, origin, extent, first, last, used
+):
+    """Split the triangles from ``first`` to ``last``, writing from row ``used``; return its end.
 
     A box with s splits to spend is cut at the coarsest plane it straddles, and the other
     s - 1 go to its halves in proportion to their longest extents. One half stays in its row,
@@ -311,13 +351,11 @@ def _split_all(corners, scale, boxes, triangle, priorities, factor, origin, exte
     polygon = np.empty((MAX_CORNERS, 3), np.float64)
     spare = np.empty((MAX_CORNERS, 3), np.float64)
     halves = np.empty((2, 8), np.float32)
-    n = len(corners)
-    used = n
     # The smaller half is done first, so that each pending entry has at least twice the
     # splits of the next and the stack stays below 64.
     stack_row = np.empty(128, np.int64)
     stack_splits = np.empty(128, np.int64)
-    for t in range(n):
+    for t in range(first, last):
         splits = math.floor(factor * priorities[t])
         if splits == 0:
             continue
