@@ -214,6 +214,16 @@ def _rank_of(code, least, offsets):
 
 
 @njit
+def _neighbour_of(a, neighbour, members, slot_of, search):
+    """Nearest neighbour of a cluster; one once found holds until it is merged itself."""
+    b = neighbour[a]
+    if b < 0 or slot_of[b] < 0:
+        b = members[_nearest(slot_of[a], *search)]
+        neighbour[a] = b
+    return b
+
+
+@njit
 def _sweep(
     begin,
     end,
@@ -240,27 +250,15 @@ def _sweep(
     distance = np.empty(_WIDTH, np.float32)
     stack_area = np.empty(_MAX_LEVELS * _WIDTH, np.float32)
     stack_place = np.empty(_MAX_LEVELS * _WIDTH, np.int64)
+    search = (bound, least, offsets, width, distance, stack_area, stack_place)
     total = len(slot_of)
     for s in range(begin, end):
         a = members[s]
         if a < 0 or a >= limit or made == total:
             continue
         while True:
-            b = neighbour[a]
-            if b < 0 or slot_of[b] < 0:
-                found = _nearest(
-                    slot_of[a], bound, least, offsets, width, distance, stack_area, stack_place
-                )
-                b = members[found]
-                neighbour[a] = b
-            c = neighbour[b]
-            if c < 0 or slot_of[c] < 0:
-                found = _nearest(
-                    slot_of[b], bound, least, offsets, width, distance, stack_area, stack_place
-                )
-                c = members[found]
-                neighbour[b] = c
-            if c == a:
+            b = _neighbour_of(a, neighbour, members, slot_of, search)
+            if _neighbour_of(b, neighbour, members, slot_of, search) == a:
                 break
             a = b
         # The new cluster takes the place of one, the place of the other becomes empty.
