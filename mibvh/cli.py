@@ -1,7 +1,8 @@
 """The command line: each command is one public function.
 
 Results go to standard output (with ``--json`` as one JSON object), progress and logs to
-standard error. Exit code 0, or 2 with one sentence for a user's mistake.
+standard error; ``study --json`` writes its progress as JSON lines before the result. Exit code 0,
+or 2 with one sentence for a user's mistake.
 """
 
 from __future__ import annotations
@@ -226,12 +227,18 @@ def study(
     ] = "",
     seconds: Annotated[float | None, typer.Option(help="stopwatch budget per lane mode")] = None,
     seed: Annotated[int, typer.Option(help="of the rays")] = 0,
-    as_json: Json = False,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="of a Dask cluster to study scenes on")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="print JSON lines: progress, and at last the result")
+    ] = False,
 ) -> None:
     """Build, measure, predict and report, for scenes and builders."""
     from mibvh import StudyOptions
     from mibvh import study as run
     from mibvh.studies import EXPERIMENTS, PROFILES
+    from mibvh.studies.board import Board
     from mibvh.studies.catalogue import scenes_in
 
     if profile not in PROFILES:
@@ -244,22 +251,14 @@ def study(
         asked = _names(experiments)
         choices["experiments"] = tuple(EXPERIMENTS) if asked == ("all",) else asked
     sources = [str(part) for source in scenes for part in scenes_in(source)]
-    with _progress() as bar:
-        task = bar.add_task("study", total=float(len(sources)))
-        order: dict[str, int] = {}
-
-        def show(scene: str, stage: str, done: float) -> None:
-            place = order.setdefault(scene, len(order))
-            bar.update(task, description=f"{scene}: {stage}", completed=place + done)
-            if done == 1.0 and bar.disable:
-                typer.echo(f"{scene}: done ({place + 1} of {len(sources)})", err=True)
-
-        options = StudyOptions(builders=named, **choices)
-        result = run(sources, output, options=options, progress=show)
+    options = StudyOptions(builders=named, **choices)
+    with Board(len(sources), as_json) as board:
+        result = run(sources, output, options=options, progress=board, scheduler=scheduler)
     if as_json:
         rows = json.loads(result.table.to_json(orient="records"))
         r = json.loads(result.correlations.to_json(orient="records"))
-        typer.echo(json.dumps({"report": str(result.report), "trees": rows, "correlations": r}))
+        last = {"event": "result", "report": str(result.report), "trees": rows, "correlations": r}
+        typer.echo(json.dumps(last))
         return
     _print_study(result)
 
@@ -268,7 +267,8 @@ def _print_study(result: Any) -> None:
     from mibvh.studies.analyse import overview
     from mibvh.studies.answers import COLUMNS, MAIN
 
-    console = Console()
+    # A pipe has no width; 80 columns would cut the names.
+    console = Console(width=None if sys.stdout.isatty() else 160)
     shown = [c for c in COLUMNS if c[0] in MAIN]
     table = Table("scene", "triangles", "builder", *(title for _, title, _, _ in shown), box=None)
     for _, row in result.table.iterrows():

@@ -48,3 +48,13 @@ def small_soup() -> mibvh.Triangles:
 @pytest.fixture(scope="session")
 def cornell() -> mibvh.Scene:
     return mibvh.load("cornell@3000")
+
+
+@pytest.fixture(scope="session")
+def small_study(tmp_path_factory: pytest.TempPathFactory, cornell: mibvh.Scene) -> mibvh.Study:
+    """Return a finished study of two scenes; tests only read it."""
+    return mibvh.study(
+        [cornell, "hairball@3000"], tmp_path_factory.mktemp("study"),
+        builders=("bbvh", "lbvh", "hill", "treelet"), width=24, height=16, scalar_rays=256,
+        seconds=0.0,
+    )  # fmt: skip

@@ -8,10 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import mibvh
 from mibvh.studies.sheet import Sheet
 
-BUILDERS = ("bbvh", "lbvh", "hill", "treelet")
 SHEET = Sheet(
     name="costs",
     section="Costs",
@@ -25,14 +23,6 @@ SHEET = Sheet(
     errors={"cost": "error"},
     best=("cost",),
 )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory, cornell):
-    return mibvh.study(
-        [cornell, "hairball@3000"], tmp_path_factory.mktemp("report"), builders=BUILDERS,
-        width=24, height=16, scalar_rays=256, seconds=0.0,
-    )  # fmt: skip
 
 
 def test_cells():
@@ -76,9 +66,11 @@ def test_latex():
 
 
 @pytest.mark.parametrize("name", ["overview-counted_cost", "trees", "stopwatch"])
-def test_table_files(finished, name):
-    rows = list(csv.DictReader(io.StringIO((finished.folder / f"tables/{name}.csv").read_text())))
-    latex = (finished.folder / f"tables/{name}.tex").read_text()
+def test_table_files(small_study, name):
+    rows = list(
+        csv.DictReader(io.StringIO((small_study.folder / f"tables/{name}.csv").read_text()))
+    )
+    latex = (small_study.folder / f"tables/{name}.tex").read_text()
     body = latex[latex.index("\\midrule") : latex.index("\\bottomrule")]
     assert body.count(r"\\") == len(rows)
     assert latex.isascii()
@@ -86,17 +78,17 @@ def test_table_files(finished, name):
     assert {line.count(" & ") for line in body.splitlines()[1:]} == {len(columns) - 1}
 
 
-def test_figure_files(finished):
-    scene = finished.scenes[0]["scene"]
+def test_figure_files(small_study):
+    scene = small_study.scenes[0]["scene"]
     for name in ("counted", "scalar", "simd", "depth"):
-        assert (finished.folder / f"figures/{scene}-{name}.png").stat().st_size > 5000
-        drawn = (finished.folder / f"figures/{scene}-{name}.svg").read_text()
+        assert (small_study.folder / f"figures/{scene}-{name}.png").stat().st_size > 5000
+        drawn = (small_study.folder / f"figures/{scene}-{name}.svg").read_text()
         assert "currentColor" not in drawn
         assert drawn.count('data-builder="lbvh"') == 2  # once per panel
 
 
-def test_the_page_stands_alone(finished):
-    page = finished.report.read_text()
+def test_the_page_stands_alone(small_study):
+    page = small_study.report.read_text()
     for text in ("cornell", "hairball", "<svg", "data-tip", "data:image/png;base64,"):
         assert text in page
     assert not re.findall(r"""(?:src|href)=["'](?!#|data:)|url\((?!#)|@import|fetch\(""", page)

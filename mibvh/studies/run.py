@@ -94,6 +94,7 @@ def study(
     *,
     options: StudyOptions | None = None,
     progress: Progress | None = None,
+    scheduler: str | None = None,
     **choices: Any,
 ) -> Study:
     """Build trees for scenes, measure and predict their cost, and write a report.
@@ -107,6 +108,9 @@ def study(
     options : StudyOptions, optional
     progress : callable, optional
         Called as ``progress(scene, stage, done)``.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers study the scenes, each on one worker (see
+        :mod:`mibvh.studies.cluster`); ``scenes`` are then names and files, no Scene objects.
     **choices
         Fields of :class:`StudyOptions`, instead of ``options``.
 
@@ -117,7 +121,8 @@ def study(
     Raises
     ------
     MibvhError
-        If a scene cannot be loaded, a builder is unknown, or an option is out of range.
+        If a scene cannot be loaded, a builder is unknown, an option is out of range, or the
+        scheduler cannot be used.
     """
     options = options or StudyOptions(**choices)
     if not scenes:
@@ -129,16 +134,31 @@ def study(
         raise MibvhError(f"a builder is named twice: {', '.join(chosen)}")
     options = dataclasses.replace(options, builders=chosen)
     store = Store(Path(folder) / "cache")
+    sources = [part for given in scenes for part in scenes_in(given)]
+    progress = progress or (lambda *_: None)
     records: list[dict[str, Any]] = []
     taken: set[str] = set()
-    for source in [part for given in scenes for part in scenes_in(given)]:
-        scene = load(source)
-        if scene.name in taken:
-            raise MibvhError(f"two scenes are called {scene.name}; rename a file or folder")
-        taken.add(scene.name)
-        records.append(study_scene(scene, options, store, progress or (lambda *_: None)))
+    if scheduler is None:
+        for source in sources:
+            scene = load(source)
+            _check_new(scene.name, taken)
+            records.append(study_scene(scene, options, store, progress))
+    else:
+        from mibvh.studies.cluster import study_on_cluster
+
+        for record in study_on_cluster(sources, options, scheduler, progress):
+            _check_new(record["scene"], taken)
+            store.write(_KEPT + record["scene"], record)
+            records.append(record)
     write_outputs(Path(folder), records)
-    return Study(Path(folder), records, environment())
+    return Study(Path(folder), records, records[-1]["environment"])
+
+
+def _check_new(name: str, taken: set[str]) -> None:
+    """See that no other scene of the study has this name."""
+    if name in taken:
+        raise MibvhError(f"two scenes are called {name}; rename a file or folder")
+    taken.add(name)
 
 
 def study_scene(

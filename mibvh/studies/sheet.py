@@ -17,8 +17,9 @@ _NONE = "–"
 _LATEX = str.maketrans({
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
     **{sign: "\\" + sign for sign in "&%$#_{}"},
-    "α": r"$\alpha$", "σ": r"$\sigma$", "−": "$-$", "±": r"$\pm$", "–": "--", "×": r"$\times$",
-    "≥": r"$\geq$", "≤": r"$\leq$", "√": r"$\surd$", "²": "$^2$", "°": r"$^\circ$",
+    "α": r"$\alpha$", "β": r"$\beta$", "σ": r"$\sigma$", "−": "$-$", "±": r"$\pm$",
+    "–": "--", "×": r"$\times$", "≥": r"$\geq$", "≤": r"$\leq$", "√": r"$\surd$", "²": "$^2$",
+    "°": r"$^\circ$",
 })  # fmt: skip
 
 
