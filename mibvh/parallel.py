@@ -1,13 +1,17 @@
-"""Threads: how many, and work handed out in blocks."""
+"""Threads: how many, work handed out in blocks, and tasks that beget tasks."""
 
 from __future__ import annotations
 
+import heapq
 import os
 import threading
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from typing import TypeVar
 
 from mibvh.errors import MibvhError
+
+Task = TypeVar("Task")
 
 
 def thread_count() -> int:
@@ -76,3 +80,45 @@ def run_blocks(
                 future.result()
         finally:
             stopped.set()  # on Ctrl-C the others end after the block they are in
+
+
+def run_tasks(
+    work: Callable[[Task], Iterable[Task]],
+    first: Task,
+    size: Callable[[Task], int],
+    threads: int,
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Run a task and all that follow from it on several threads, the largest first.
+
+    Threads take a task when they are free, so that one that is held up by other programs
+    holds up nobody else.
+
+    Parameters
+    ----------
+    work : callable
+        Does a task and returns those that follow, of no greater size together. Compiled code
+        that drops the GIL does best.
+    first : Task
+    size : callable
+        How much work a task is.
+    threads : int
+    progress : callable, optional
+        Called in the calling thread with the share done, from 0 to 1.
+    """
+    total, done, count = size(first), 0, 0
+    waiting = [(-total, count, first)]
+    running: dict[Future[Iterable[Task]], int] = {}
+    with ThreadPoolExecutor(threads) as pool:
+        while waiting or running:
+            while waiting and len(running) < threads:
+                weight, _, task = heapq.heappop(waiting)
+                running[pool.submit(work, task)] = -weight
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                done += running.pop(future)
+                for task in future.result():
+                    count += 1
+                    done -= size(task)
+                    heapq.heappush(waiting, (-size(task), count, task))
+            if progress and total:
+                progress(done / total)

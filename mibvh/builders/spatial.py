@@ -33,8 +33,7 @@ independent, and the tree does not depend on the number of threads.
 from __future__ import annotations
 
 import dataclasses
-import heapq
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+import functools
 from typing import Any
 
 import numba
@@ -49,6 +48,7 @@ from mibvh.builders.registry import Context, Options, builder, option
 from mibvh.builders.simd import half_area, load, nothing, store, union, widen
 from mibvh.builders.splitting import split_reference
 from mibvh.builders.sweep import ID_ZERO, SMALL, best_split, part, sort_axes
+from mibvh.parallel import run_tasks
 from mibvh.triangles import Triangles
 
 #: No spatial splits below this depth: they could go on for ever.
@@ -462,32 +462,25 @@ def _compact(left, right, reference, lists):
     return links, lower, upper, triangle
 
 
-def _build(work: tuple[Any, ...], root: npt.NDArray[np.int64], context: Context) -> list[int]:
-    """Run tasks on all threads, the largest first; return the tally."""
-    threads = numba.get_num_threads()
-    waiting = [(-int(root[1]), int(root[4]), root)]
-    running: dict[Future[None], tuple[Any, bool, Any, Any]] = {}
-    total, done = int(root[1] + root[2]), 0
-    tally = np.zeros(2, np.int64)
-    with ThreadPoolExecutor(threads) as pool:
-        while waiting or running:
-            while waiting and len(running) < threads:
-                _, _, task = heapq.heappop(waiting)
-                once = bool(task[1] > _TASK)
-                out, counts = np.empty((2, 8), np.int64), np.zeros(2, np.int64)
-                future = pool.submit(_run, *work, task, once, out, counts)
-                running[future] = (task, once, out, counts)
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                task, once, out, counts = running.pop(future)
-                future.result()
-                tally += counts
-                if once:
-                    for child in out:
-                        heapq.heappush(waiting, (-int(child[1]), int(child[4]), child))
-                else:
-                    done += int(task[1] + task[2])
-                    context.progress("split", done / total)
-    return tally.tolist()
+def _build(scene: tuple[Any, ...], root: npt.NDArray[np.int64], context: Context) -> list[int]:
+    """Run tasks on all threads; return the tally."""
+    tallies = []
+
+    def work(task: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
+        once = bool(task[1] > _TASK)
+        children, tally = np.empty((2, 8), np.int64), np.zeros(2, np.int64)
+        _run(*scene, task, once, children, tally)
+        tallies.append(tally)
+        return list(children) if once else []
+
+    run_tasks(
+        work,
+        root,
+        lambda task: int(task[1] + task[2]),
+        numba.get_num_threads(),
+        functools.partial(context.progress, "split"),
+    )
+    return np.sum(tallies, axis=0).tolist()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -542,8 +535,8 @@ def sbvh(triangles: Triangles, options: SpatialOptions, context: Context) -> Dra
     links = np.full((3, 2 * room - 1), -1, np.int32)
     side = np.empty(n + 2 * slack, np.uint8)
     root = np.array([0, n, slack, n, 0, 0, 1, 0], np.int64)
-    work = (triangles.corners, scale, rules, lists, side, *links)
-    tried, made = _build(work, root, context)
+    scene = (triangles.corners, scale, rules, lists, side, *links)
+    tried, made = _build(scene, root, context)
     joined, lower, upper, owner = _compact(*links, lists)
     return Draft(
         References(lower, upper, owner, scale),

@@ -15,22 +15,25 @@ Stages
    tie is left out.
 3. Part the three lists stably (:func:`_part`), so that they stay sorted, into a second set
    of lists; the next level goes the other way.
-4. When there are enough subtrees for all threads, each is built by one thread, with its own
-   ranges of the lists and of the nodes: a range of n references owns 2n - 1 nodes. So the
-   result does not depend on the threads.
+4. Large nodes are tasks of one split, small ones tasks of a subtree, which threads take as
+   they are free (:func:`mibvh.parallel.run_tasks`). Each has its own ranges of the lists and
+   of the nodes: a range of n references owns 2n - 1 nodes. So the result does not depend on
+   the threads.
 """
 
 from __future__ import annotations
 
+import functools
+
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.radix import argsort_keys, float_keys
 from mibvh.builders.registry import Context, Options, builder
 from mibvh.builders.simd import half_area, load, load_corners, nothing, store, union
+from mibvh.parallel import run_tasks
 from mibvh.triangles import F32, I32, Triangles
 
 #: Up to so many references, the three axes are swept side by side.
@@ -42,15 +45,13 @@ _TASK = 4096
 #: Tasks per thread, so that uneven ones still add up to even shares.
 _TASKS_PER_THREAD = 16
 
-#: References built between two reports of progress.
-_BATCH = 1_000_000
-
 #: A reference's id stands in the first spare lane of its box as the id-th float after one:
 #: ids compare as floats, and no arithmetic meets a denormal number. So does its triangle's
 #: in the second, for `sbvh`.
 ID_ZERO = np.int32(0x3F800000)
 
-I64 = npt.NDArray[np.int64]
+#: First place in the lists, number of references, node, and which set of lists.
+_Task = tuple[int, int, int, int]
 
 
 @njit
@@ -358,62 +359,32 @@ def _subtree(lists, total, begin, n, node, side, left, right, reference):
         begin, n, node, side = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
 
 
-@njit(parallel=True)
-def _split_all(lists, total, tasks, starts, left, right, reference, children):
-    """Split each task once; thread g takes the tasks from ``starts[g]`` to ``starts[g + 1]``."""
-    for g in numba.prange(len(starts) - 1):
-        for i in range(starts[g], starts[g + 1]):
-            begin, n, node, side = tasks[i]
-            areas = np.empty(max(n, 3 * SMALL), np.float32)
-            at = _split(lists, total, begin, n, side, areas)
-            left[node], right[node], reference[node] = node + 1, node + 2 * at, -1
-            children[i, 0] = begin, at, node + 1, 1 - side
-            children[i, 1] = begin + at, n - at, node + 2 * at, 1 - side
-
-
-@njit(parallel=True)
-def _build_all(lists, total, tasks, starts, left, right, reference):
-    """Build the subtree of each task; thread g takes those from ``starts[g]`` on."""
-    for g in numba.prange(len(starts) - 1):
-        for i in range(starts[g], starts[g + 1]):
-            begin, n, node, side = tasks[i]
-            _subtree(lists, total, begin, n, node, side, left, right, reference)
-
-
-def _shares(tasks: I64) -> tuple[I64, I64]:
-    """Order tasks into one run per thread: the largest first, each to who has least so far."""
-    threads = numba.get_num_threads()
-    load = [0] * threads
-    share: list[list[int]] = [[] for _ in range(threads)]
-    for i in np.argsort(-tasks[:, 1], kind="stable").tolist():
-        thread = load.index(min(load))
-        load[thread] += int(tasks[i, 1])
-        share[thread].append(i)
-    starts = np.cumsum([0] + [len(s) for s in share])
-    return tasks[np.concatenate(share).astype(np.int64)], starts
+@njit
+def _split_once(lists, total, begin, n, node, side, left, right, reference):
+    """Split one node; return how many references go left."""
+    at = _split(lists, total, begin, n, side, np.empty(max(n, 3 * SMALL), np.float32))
+    left[node], right[node], reference[node] = node + 1, node + 2 * at, -1
+    return at
 
 
 def _build(lists: F32, links: tuple[I32, I32, I32], context: Context) -> None:
-    """Build the tree: level by level at the top, then subtree by subtree."""
+    """Build the tree: the top node by node, the rest subtree by subtree."""
     total = len(lists) // 6
-    limit = max(total // (_TASKS_PER_THREAD * numba.get_num_threads()), _TASK)
-    # The root is split here at any size, so that a small tree compiles all that a large one runs.
-    root = np.array([[0, total, 0, 0]], np.int64)
-    large, small = (root, [root[:0]]) if total > 1 else (root[:0], [root])
-    while len(large):
-        large, starts = _shares(large)
-        children = np.empty((len(large), 2, 4), np.int64)
-        _split_all(lists, total, large, starts, *links, children)
-        tasks = children.reshape(-1, 4)
-        small.append(tasks[tasks[:, 1] <= limit])
-        large = tasks[tasks[:, 1] > limit]
-    tasks = np.concatenate(small)
-    tasks = tasks[np.argsort(-tasks[:, 1], kind="stable")]
-    batches = -(-total // _BATCH)
-    for batch in range(batches):
-        context.progress("sweep", batch / batches)
-        if len(part := tasks[batch::batches]):
-            _build_all(lists, total, *_shares(part), *links)
+    threads = numba.get_num_threads()
+    limit = max(total // (_TASKS_PER_THREAD * threads), _TASK)
+
+    def work(task: _Task) -> list[_Task]:
+        begin, n, node, side = task
+        # The root is split here at any size, so that a small tree compiles all that a large
+        # one runs.
+        if n <= limit and (node > 0 or n == 1):
+            _subtree(lists, total, *task, *links)
+            return []
+        at = _split_once(lists, total, *task, *links)
+        return [(begin, at, node + 1, 1 - side), (begin + at, n - at, node + 2 * at, 1 - side)]
+
+    report = functools.partial(context.progress, "sweep")
+    run_tasks(work, (0, total, 0, 0), lambda task: task[1], threads, report)
 
 
 @builder(
