@@ -1,5 +1,7 @@
 """The experiments of a study beside prediction: rotation, depth, sensitivity; the catalogue."""
 
+import copy
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,6 +9,7 @@ from conftest import soup
 
 import mibvh
 from mibvh.studies import rotation
+from mibvh.studies.answers import answers
 from mibvh.studies.catalogue import (
     find_paper_scene,
     paper_comparison,
@@ -14,6 +17,7 @@ from mibvh.studies.catalogue import (
     scenes_in,
     triangle_count_notes,
 )
+from mibvh.studies.claims import claims
 from mibvh.studies.depth import (
     SPLITS,
     remaining_after_splits,
@@ -290,3 +294,48 @@ def test_a_folder_of_scenes(tmp_path):
     row = paper_comparison(found.scenes, found.correlations).iloc[0]
     assert (row["scene"], row["triangles"], row["expected"]) == ("sibenik", 60, 75284)
     assert row["paper_r_sah"] is None or np.isnan(row["paper_r_sah"])
+
+
+# ------------------------------------------------------------------ answers
+
+
+def test_every_experiment_has_its_tables(full):
+    names = [sheet.name for sheet in answers(full[2].scenes, full[2].correlations)]
+    for name in ("claims", "sah-over-best", "worst-case", "where", "rotation-scenes",
+                 "rotation-builders", "sensitivity", "sensitivity-leaf-size",
+                 "sensitivity-bounce", "sensitivity-viewpoints"):  # fmt: skip
+        assert name in names
+        assert (full[2].folder / "tables" / f"{name}.csv").stat().st_size > 0
+        assert (full[2].folder / "tables" / f"{name}.tex").read_text().isascii()
+    less = [sheet.name for sheet in answers(full[0].scenes, full[0].correlations)]
+    assert not {"where", "rotation-scenes", "sensitivity"} & set(less)
+    page = full[2].report.read_text()
+    assert "whether they held" in page
+    assert page.count("data-tip") > 20
+    for name in ("rotation", f"{full[2].scenes[0]['scene']}-remaining"):
+        assert (full[2].folder / "figures" / f"{name}.png").stat().st_size > 5000
+
+
+def test_claims_are_judged_by_the_results(full):
+    table = claims(full[2].scenes, full[2].correlations).set_index("claim")
+    turning = next(c for c in table.index if c.startswith("turning the scene"))
+    mean = full[2].rotation.groupby("scene")[["scalar_ns", "counted_cost", "sah"]].mean().mean()
+    assert f"SAH {mean['sah']:.1f}×" in table.loc[turning, "ours"]
+    held = [mean["scalar_ns"] > mean["sah"], mean["counted_cost"] > mean["sah"]]
+    assert table.loc[turning, "held"] == {2: "yes", 1: "in part", 0: "no"}[sum(held)]
+    less = claims(full[0].scenes, full[0].correlations).set_index("claim")
+    assert less.loc[turning, ["ours", "held"]].tolist() == ["–", "not studied"]
+
+
+def test_a_claim_can_fail(full):
+    """Records in which overlap shrinks when the scene is turned, and the sweep has most of it."""
+    record = copy.deepcopy(full[2].scenes[0])
+    before = {"bbvh": 30.0, "sbvh": 1.0, "lbvh": 20.0}
+    for tree, turned in zip(record["trees"], record["rotation"]["trees"], strict=True):
+        tree["epo"] = before[tree["builder"]]
+        turned["epo"] = 0.5 * tree["epo"]
+    table = claims([record], full[2].correlations).set_index("claim")
+    assert table.loc["the overlap at the rays' ends grows most with turning", "held"] == "no"
+    sweeps = table.loc["top-down sweeps optimise EPO much better than SAH"]
+    assert sweeps["held"] == "in part"
+    assert "bbvh: EPO 150%" in sweeps["ours"]

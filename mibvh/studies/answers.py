@@ -17,20 +17,15 @@ from mibvh.studies.analyse import (
     relative_to,
     sensitivity,
 )
+from mibvh.studies.claims import PAPER_EPO
+from mibvh.studies.experiment_answers import claim_answers, experiment_answers
 from mibvh.studies.sheet import Sheet
 
+#: The section that the figure of all correlations stands in.
+PREDICTION = "How well cost is predicted"
 #: What the paper's slides give for Pearson's r over 22 scenes (mean, minimum, maximum), scalar.
 PAPER = {"SAH": (0.915, 0.652, 0.998), "fitted": (0.994, 0.988, 0.999),
          "fixed 0.79": (0.980, 0.886, 0.999)}  # fmt: skip
-#: The slides' EPO per builder, relative to lbvh.
-PAPER_EPO = {
-    "agglo": 1.07,
-    "anneal": 0.81,
-    "treelet": 0.52,
-    "bbvh": 0.46,
-    "bittner": 0.45,
-    "lbvh": 1.0,
-}
 #: Columns of the per-builder table: key, heading, format, what it says.
 COLUMNS = [
     ("sah", "SAH", ".2f", "surface area heuristic"),
@@ -78,11 +73,13 @@ def answers(records: list[dict[str, Any]], found: pd.DataFrame) -> list[Sheet]:
         From :func:`mibvh.studies.analyse.correlations`.
     """
     return [
+        *claim_answers(records, found),
         *(_overview(found, measurement) for measurement in MEASUREMENTS),
         _shared(records),
         *(_per_scene(found, measurement) for measurement in MEASUREMENTS),
         _absolute(records),
         *_relative(records),
+        *experiment_answers(records),
         _calibration(records),
         _constants(records),
         _stopwatch(records),
@@ -99,7 +96,7 @@ def _overview(found: pd.DataFrame, measurement: str) -> Sheet:
         frame["paper"] = frame["predictor"].map(text).fillna("")
     return Sheet(
         name=f"overview-{measurement}",
-        section="How well cost is predicted",
+        section=PREDICTION,
         title=f"r over the scenes: {MEASUREMENTS[measurement]}",
         frame=frame,
         formats={**dict.fromkeys(("mean", "min", "max"), ".3f"), "worst error": ".0%"},
@@ -119,7 +116,7 @@ def _per_scene(found: pd.DataFrame, measurement: str) -> Sheet:
     frame = frame.rename_axis(columns=None).reset_index()
     return Sheet(
         name=f"r-{measurement}",
-        section="How well cost is predicted",
+        section=PREDICTION,
         title=f"r per scene: {MEASUREMENTS[measurement]}",
         frame=frame,
         formats={c: ".2f" if c.startswith("α") else ".3f" for c in frame},
@@ -193,7 +190,7 @@ def _shared(records: list[dict[str, Any]]) -> Sheet:
     frame = pd.DataFrame(rows)
     return Sheet(
         name="shared-weights",
-        section="How well cost is predicted",
+        section=PREDICTION,
         title="Weights that the scenes share",
         frame=frame,
         formats=dict.fromkeys(frame, ".2f"),
@@ -208,7 +205,7 @@ def _absolute(records: list[dict[str, Any]]) -> Sheet:
     })  # fmt: skip
     return Sheet(
         name="finite-rays",
-        section="How well cost is predicted",
+        section=PREDICTION,
         title="Finite rays against counted cost, nothing fitted",
         frame=frame,
         formats={"s": ".2f", "rays that hit": ".0%", "mean error": "+.0%", "worst error": "+.0%",

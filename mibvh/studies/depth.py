@@ -87,6 +87,7 @@ def depth_experiment(tree: Tree) -> dict[str, Any]:
     """Return the figures of one tree as JSON-able values."""
     spent, remaining = remaining_by_depth(tree)
     return {
+        "nodes_by_depth": np.bincount(tree.depths).tolist(),
         "spent_by_depth": spent.tolist(),
         "remaining_by_depth": remaining.tolist(),
         "remaining_after_splits": remaining_after_splits(tree),

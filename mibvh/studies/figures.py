@@ -177,6 +177,64 @@ def by_depth(record: dict[str, Any]) -> Figure:
     return figure
 
 
+def remaining(record: dict[str, Any]) -> Figure:
+    """What a top-down sweep minimises: the worst-case cost that remains, by splits and by depth.
+
+    Parameters
+    ----------
+    record : dict
+        Of a scene for which the experiment ``depth`` was run.
+    """
+    with style():
+        figure, axes = _figure(2, height=2.5)
+        left, right, gids = {}, {}, []
+        for tree in record["trees"]:
+            name = tree["builder"]
+            left[name] = np.array(tree["remaining_after_splits"], dtype=np.float64)
+            right[name] = np.array(tree["spent_by_depth"]) + tree["remaining_by_depth"]
+            gids.append(
+                f"{_TIP}{name}|{name}: {left[name][0]:.4g} as one leaf, {left[name][3]:.4g} after "
+                f"7 splits, SAH {tree['sah']:.4g} when all is split"
+            )
+        depth_curves(axes[0], left, gids)
+        depth_curves(axes[1], right, gids)
+        _name(axes[0], "Worst-case triangle cost that remains", "log₂(splits + 1)", "cost")
+        _name(axes[1], "SAH of the tree cut at a depth", "depth", "cost")
+        for axis in axes:
+            axis.set_yscale("log")
+        axes[0].legend(fontsize=7, ncols=2 if len(record["trees"]) > 5 else 1)
+    return figure
+
+
+def rotation(factors: pd.DataFrame) -> Figure:
+    """What turning the scenes costs, counted, against what SAH and SAH with EPO foretell.
+
+    Parameters
+    ----------
+    factors : DataFrame
+        From :func:`mibvh.studies.rotation.rotation_factors`.
+    """
+    builders = list(dict.fromkeys(factors["builder"]))
+    with style():
+        figure, axes = _figure(2, height=3.0)
+        for axis, name in zip(axes, ("sah", "predictor"), strict=True):
+            x, y = factors[name], factors["counted_cost"]
+            ends = [min(x.min(), y.min()), max(x.max(), y.max())]
+            axis.plot(ends, ends, color="#888888", lw=1, zorder=1)
+            for i, builder in enumerate(builders):
+                for _, row in factors[factors["builder"] == builder].iterrows():
+                    tip = (
+                        f"{row['scene']}, {builder}: counted cost {row['counted_cost']:.2f}×, "
+                        f"SAH {row['sah']:.2f}×, EPO {row['epo']:.2f}×"
+                    )
+                    axis.plot([row[name]], [row["counted_cost"]], "o", ms=4.5,
+                              color=builder_colour(i), mec="none", alpha=0.85,
+                              gid=f"{_TIP}{builder}|{tip}")  # fmt: skip
+            title = "SAH" if name == "sah" else "SAH + EPO, average α"
+            _name(axis, title, "predicted factor", "factor of counted cost")
+    return figure
+
+
 def summary(table: pd.DataFrame) -> Figure:
     """Pearson's r of each predictor, a point per scene, for each measurement.
 

@@ -15,6 +15,9 @@ import pandas as pd
 from mibvh.files import atomic_path, write_text
 from mibvh.studies import figures
 from mibvh.studies.analyse import MEASUREMENTS, PREDICTORS
+from mibvh.studies.answers import PREDICTION
+from mibvh.studies.experiment_answers import TURNING
+from mibvh.studies.rotation import rotation_factors
 from mibvh.studies.sheet import Sheet
 
 #: Figures of a scene: file name, what to say below it.
@@ -23,6 +26,7 @@ CAPTIONS = {
     "scalar": "Scalar time per ray against the prediction.",
     "simd": "SIMD time per ray against the prediction.",
     "depth": "Where in the trees the expected cost and the overlap sit.",
+    "remaining": "What would remain to be tested if the tree ended there: what a sweep minimises.",
 }
 #: Width of the small pictures, in pixels: twice what is shown, for fine screens.
 _THUMBNAIL = 320
@@ -64,6 +68,7 @@ def write_report(
         Of each scene; see :func:`mibvh.studies.answers.scene_answers`.
     """
     (folder / "figures").mkdir(exist_ok=True)
+    factors = rotation_factors(records)
     page = _template().render(
         builders=_builders(records),
         sections=[
@@ -73,7 +78,10 @@ def write_report(
             _scene(folder, record, found, of_scene)
             for record, of_scene in zip(records, of_scenes, strict=True)
         ],
+        prediction=PREDICTION,
         summary=_draw(folder, "summary", figures.summary(found)),
+        turning=TURNING if len(factors) else None,
+        rotation=_draw(folder, "rotation", figures.rotation(factors)) if len(factors) else [],
         predictors=PREDICTORS,
         environment=records[-1]["environment"],
         options=records[-1]["options"],
@@ -111,6 +119,8 @@ def _scene(
         "simd": figures.predicted_measured(record, "simd_ns"),
         "depth": figures.by_depth(record),
     }
+    if "depth" in record["options"]["experiments"]:
+        drawn["remaining"] = figures.remaining(record)
     return {
         "name": name,
         "triangles": f"{record['triangles']:,}",

@@ -39,6 +39,7 @@ FACTORS = {
     "epo": "EPO",
     "predictor": "SAH + EPO, average α",
     "finite_rays": "finite rays",
+    "finite_by_lines": "finite by lines",
 }
 
 
@@ -186,14 +187,18 @@ def rotation_factors(records: list[dict[str, Any]]) -> pd.DataFrame:
                 name: _ratio(after[name], before[name]) for name in ("counted_cost", "sah", "epo")
             }
             combined = [float(predict(t["sah"], t["epo"], alpha)) for t in (after, before)]
-            finite = [
-                float(finite_ray_cost(t["sah"], t["point_query"], t["length_ratio"]))
-                for t in (after, before)
-            ]
+            finite, by_lines = (
+                [
+                    float(finite_ray_cost(t[sah], t["point_query"], t[share]))
+                    for t in (after, before)
+                ]
+                for sah, share in (("sah", "length_ratio"), ("sah_lines", "line_share"))
+            )
             rows.append({
                 "scene": record["scene"], "builder": before["builder"], **factors,
                 "scalar_ns": _ratio(after["scalar_ns"], after["scalar_ns_before"]),
                 "predictor": _ratio(*combined), "finite_rays": _ratio(*finite),
+                "finite_by_lines": _ratio(*by_lines),
             })  # fmt: skip
     return pd.DataFrame(rows, columns=["scene", "builder", *FACTORS])
 

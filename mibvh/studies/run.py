@@ -190,7 +190,8 @@ def study_scene(
         stage = functools.partial(report_part, part, name, 0.02 + share * i, share)
         key, tree, row = study_tree(name, scene, rays, rays_key, options, store, stage)
         if "depth" in options.experiments:
-            row.update(kept(store, f"depth-{key}", functools.partial(depth_experiment, tree)))
+            piece = key_of(tree=key, format=2)
+            row.update(kept(store, f"depth-{piece}", functools.partial(depth_experiment, tree)))
         trees[key] = tree
         rows.append(row)
     timing = {}
