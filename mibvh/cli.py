@@ -194,6 +194,9 @@ def trace(
     tree: TreeArgument,
     rays: RaysArgument,
     lanes: Annotated[str, typer.Option(help="simd or scalar")] = "simd",
+    style: Annotated[
+        str, typer.Option(help="single loop (as the study), or wide: the fastest")
+    ] = "single",
     cull: Annotated[bool, typer.Option(help="re-test popped nodes against the hit")] = False,
     any_hit: Annotated[bool, typer.Option(help="end at the first hit found")] = False,
     repeats: Annotated[int, typer.Option(help="timed launches")] = 5,
@@ -207,7 +210,7 @@ def trace(
     triangles = _load(scene).triangles
     hits = run(
         Tree.load(tree), triangles, RaySet.load(rays), lanes,  # type: ignore[arg-type]
-        cull=cull, any_hit=any_hit, repeats=repeats,
+        style=style, cull=cull, any_hit=any_hit, repeats=repeats,  # type: ignore[arg-type]
     )  # fmt: skip
     if output:
         hits.save(output)

@@ -5,6 +5,9 @@ from conftest import closed_box, soup
 import mibvh
 from mibvh.variant import lane_width
 
+STYLES = ["single", "wide"]
+in_every_style = pytest.mark.parametrize("style", STYLES)
+
 
 def random_rays(count, seed=0, low=-0.5, high=3.5):
     rng = np.random.default_rng(seed)
@@ -99,10 +102,11 @@ def test_hits_and_counters_against_plain_python(builder, cull):
     assert (hits.steps == hits.inner + hits.tests).all()
 
 
-def test_scalar_lanes_take_the_same_steps(small_soup):
+@in_every_style
+def test_scalar_lanes_take_the_same_steps(small_soup, style):
     tree = mibvh.build(small_soup, "bbvh")
     rays = random_rays(1000, 2)
-    simd, scalar = (mibvh.trace(tree, small_soup, rays, lanes, repeats=1)
+    simd, scalar = (mibvh.trace(tree, small_soup, rays, lanes, style=style, repeats=1)
                     for lanes in ("simd", "scalar"))  # fmt: skip
     for name in ("t", "triangle", "inner", "leaves", "tests", "steps"):
         np.testing.assert_array_equal(getattr(simd, name), getattr(scalar, name))
@@ -111,32 +115,35 @@ def test_scalar_lanes_take_the_same_steps(small_soup):
     assert simd.lcv == pytest.approx(np.std(simd.leaves.astype(float)))
 
 
-def test_any_hit_finds_a_hit_where_there_is_one(small_soup):
+@in_every_style
+def test_any_hit_finds_a_hit_where_there_is_one(small_soup, style):
     tree = mibvh.build(small_soup, "bbvh")
     rays = random_rays(2000, 3)
-    closest = mibvh.trace(tree, small_soup, rays, repeats=1)
-    some = mibvh.trace(tree, small_soup, rays, any_hit=True, repeats=1)
+    closest = mibvh.trace(tree, small_soup, rays, style=style, repeats=1)
+    some = mibvh.trace(tree, small_soup, rays, any_hit=True, style=style, repeats=1)
     np.testing.assert_array_equal(some.triangle >= 0, closest.triangle >= 0)
     assert (some.t >= closest.t).all()
     assert some.inner.sum() < closest.inner.sum()
 
 
-def test_tmax_is_respected(small_soup):
+@in_every_style
+def test_tmax_is_respected(small_soup, style):
     tree = mibvh.build(small_soup, "bbvh")
     rays = random_rays(1000, 4)
-    full = mibvh.trace(tree, small_soup, rays, repeats=1)
+    full = mibvh.trace(tree, small_soup, rays, style=style, repeats=1)
     hit = np.isfinite(full.t)
     for share, found in [(0.999, False), (1.001, True)]:
         limit = np.where(hit, full.t * np.float32(share), 1.0)
-        near = mibvh.trace(tree, small_soup, ray_set(rays.o, rays.d, limit), repeats=1)
+        near = mibvh.trace(tree, small_soup, ray_set(rays.o, rays.d, limit), style=style, repeats=1)
         assert np.isfinite(near.t[hit]).all() if found else np.isinf(near.t[hit]).all()
 
 
-def test_hits_against_mitsuba(cornell):
+@in_every_style
+def test_hits_against_mitsuba(cornell, style):
     mi = pytest.importorskip("mitsuba")
     rays = mibvh.diffuse_rays(cornell, width=64, height=48, samples=2, bounces=2)
     tree = mibvh.build(cornell.triangles, "bbvh")
-    hits = mibvh.trace(tree, cornell.triangles, rays, repeats=1)
+    hits = mibvh.trace(tree, cornell.triangles, rays, style=style, repeats=1)
     theirs = cornell.geometry.ray_intersect_preliminary(
         mi.Ray3f(mi.Point3f(rays.o.T), mi.Vector3f(rays.d.T)), coherent=False
     )
@@ -148,34 +155,37 @@ def test_hits_against_mitsuba(cornell):
     assert differ.sum() <= 1
 
 
-def test_a_tree_that_is_one_leaf():
+@in_every_style
+def test_a_tree_that_is_one_leaf(style):
     one = mibvh.Triangles(np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], np.float32))
     tree = mibvh.build(one, "bbvh")
     rays = ray_set([[0.2, 0.2, -1], [0.9, 0.9, -1]], [[0, 0, 1], [0, 0, 1]])
-    hits = mibvh.trace(tree, one, rays, repeats=1)
+    hits = mibvh.trace(tree, one, rays, style=style, repeats=1)
     assert hits.t.tolist() == [1.0, np.inf]
     assert hits.triangle.tolist() == [0, -1]
     assert hits.inner.tolist() == [0, 0]
     assert hits.leaves.tolist() == [1, 1]
 
 
+@in_every_style
 @pytest.mark.parametrize("scale", [1e-20, 1e15])
-def test_extreme_scales(scale):
+def test_extreme_scales(scale, style):
     triangles = soup(100, 6, size=0.3)
     largest = float(np.abs(triangles.corners).max())
     factor = np.float32(scale / largest)
     scaled = mibvh.Triangles(triangles.corners * factor)
     rays = random_rays(500, 5)
     far = ray_set(rays.o * factor, rays.d)
-    plain = mibvh.trace(mibvh.build(triangles, "bbvh"), triangles, rays, repeats=1)
-    hits = mibvh.trace(mibvh.build(scaled, "bbvh"), scaled, far, repeats=1)
+    plain = mibvh.trace(mibvh.build(triangles, "bbvh"), triangles, rays, style=style, repeats=1)
+    hits = mibvh.trace(mibvh.build(scaled, "bbvh"), scaled, far, style=style, repeats=1)
     same = hits.triangle == plain.triangle
     assert same.mean() > 0.99
     found = same & (plain.triangle >= 0)
     np.testing.assert_allclose(hits.t[found] / factor, plain.t[found], rtol=1e-3, atol=1e-5)
 
 
-def test_degenerate_rays_hit_nothing_and_leave_their_neighbours_alone():
+@in_every_style
+def test_degenerate_rays_hit_nothing_and_leave_their_neighbours_alone(style):
     box = mibvh.Triangles(closed_box())
     tree = mibvh.build(box, "bbvh")
     sane = random_rays(64, 7, 0.1, 0.9)
@@ -186,14 +196,15 @@ def test_degenerate_rays_hit_nothing_and_leave_their_neighbours_alone():
     o, d = np.repeat(sane.o, 2, axis=0), np.repeat(sane.d, 2, axis=0)
     for i in range(64):
         o[2 * i + 1], d[2 * i + 1] = odd[i % len(odd)]
-    hits = mibvh.trace(tree, box, ray_set(o, d), repeats=1)
-    alone = mibvh.trace(tree, box, sane, repeats=1)
+    hits = mibvh.trace(tree, box, ray_set(o, d), style=style, repeats=1)
+    alone = mibvh.trace(tree, box, sane, style=style, repeats=1)
     np.testing.assert_array_equal(hits.t[::2], alone.t)
     assert np.isfinite(hits.t[::2]).all()  # inside a closed box
     assert np.isinf(hits.t[1::2]).all()
 
 
-def test_axis_parallel_rays_along_faces_and_from_edges():
+@in_every_style
+def test_axis_parallel_rays_along_faces_and_from_edges(style):
     """Zero direction components, origins on faces, edges and vertices: no ray gets out."""
     box = mibvh.Triangles(closed_box())
     tree = mibvh.build(box, "bbvh")
@@ -205,11 +216,12 @@ def test_axis_parallel_rays_along_faces_and_from_edges():
                 for b in grid:  # on the cells' edges, vertices and diagonals
                     o.append(np.insert([a, b], axis, 0.5))
                     d.append(np.insert([0.0, 0.0], axis, sign))
-    hits = mibvh.trace(tree, box, ray_set(o, d), repeats=1)
+    hits = mibvh.trace(tree, box, ray_set(o, d), style=style, repeats=1)
     np.testing.assert_allclose(hits.t, 0.5)
 
 
-def test_no_more_leaks_than_mitsuba():
+@in_every_style
+def test_no_more_leaks_than_mitsuba(style):
     """From inside a closed, finely cut, rotated box, aimed at its vertices and edges."""
     mi = pytest.importorskip("mitsuba")
     turn = mibvh.rotation_about((1, 2, 3), 33)
@@ -222,7 +234,7 @@ def test_no_more_leaks_than_mitsuba():
     o = rng.uniform(-0.5, 0.5, (20000, 3)).astype(np.float32)
     d = at - o
     rays = ray_set(o, d / np.linalg.norm(d, axis=1, keepdims=True))
-    hits = mibvh.trace(tree, box, rays, repeats=1)
+    hits = mibvh.trace(tree, box, rays, style=style, repeats=1)
     theirs = mibvh.load(box).geometry.ray_test(
         mi.Ray3f(mi.Point3f(rays.o.T), mi.Vector3f(rays.d.T)), coherent=False
     )

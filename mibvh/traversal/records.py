@@ -1,30 +1,32 @@
-"""The records that the kernel reads: a tree and its triangles as rows of floats.
+"""The records that the kernels read: a tree and its triangles as rows of floats.
 
 One row of 16 floats per inner node holds both children, so that a node visit is one cache
-line; one row of 16 floats per reference holds its triangle, in leaf order. Coordinates are
+line; one row of 16 floats per reference holds its triangle, in leaf order. Both stand in one
+buffer, so that a step fetches its row before it asks of which kind it is. Coordinates are
 scaled by a power of two to an extent near 1: products neither overflow nor underflow in
 float32, and scaling back is exact.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
+from mibvh.traversal.collapse import collapse
 from mibvh.tree import MAX_DEPTH, Tree
 from mibvh.triangles import F32, Triangles, as_triangles
 from mibvh.variant import mitsuba
 
-#: Floats per inner node: left lower, left upper, right lower, right upper, two child codes,
-#: two spare. A child code is the row of an inner node, or, complemented, that of the first
-#: triangle of a leaf.
-NODE_ROW = 16
-#: Floats per reference: three corners, normal, triangle id, 1 for the last of its leaf, two
-#: spare.
-TRIANGLE_ROW = 16
+Layout = Literal["binary", "wide"]
+
+#: Floats per row. An inner node: left lower, left upper, right lower, right upper, two child
+#: codes, two spare. A triangle, one per reference: three corners, normal, id, 1 for the last of
+#: its leaf, two spare. A child code is the row of an inner node, or, complemented, that of the
+#: first triangle of a leaf.
+ROW = 16
 #: The code of "nothing left to do".
 DONE = -(2**31)
 
@@ -36,27 +38,31 @@ class Records:
 
     Attributes
     ----------
-    nodes, triangles : Float
-        Rows of :data:`NODE_ROW` and :data:`TRIANGLE_ROW` floats.
+    rows : Float
+        Rows of :data:`ROW` floats: inner nodes, then triangles in leaf order; in the wide
+        layout as :mod:`mibvh.traversal.collapse` has them.
     root : int
-        Code of the root.
+        Code of the root; in the wide layout 1 for an inner node and 0 for a triangle.
     scale : float
         From scene units to the records' units; a power of two.
+    layout : str
+        ``binary`` or ``wide``.
     """
 
-    __slots__ = ("nodes", "root", "scale", "triangles")
+    __slots__ = ("layout", "root", "rows", "scale")
 
-    def __init__(self, nodes: Any, triangles: Any, root: int, scale: float) -> None:
-        self.nodes = nodes
-        self.triangles = triangles
+    def __init__(self, rows: Any, root: int, scale: float, layout: Layout) -> None:
+        self.rows = rows
         self.root = root
         self.scale = scale
+        self.layout = layout
 
 
 @njit
 def _node_rows(lower, upper, left, first):
     """Rows of the inner nodes, in the order of the tree's nodes, and each node's code."""
     nodes = len(left)
+    inners = (nodes - 1) // 2
     code = np.empty(nodes, np.int32)
     inner = 0
     for n in range(nodes):
@@ -64,8 +70,8 @@ def _node_rows(lower, upper, left, first):
             code[n] = inner
             inner += 1
         else:
-            code[n] = ~first[n]
-    rows = np.zeros((max(inner, 1), 16), np.float32)
+            code[n] = ~(inners + first[n])
+    rows = np.zeros((inners, 16), np.float32)
     bits = rows.view(np.int32)
     row = 0
     for n in range(nodes):
@@ -106,7 +112,7 @@ def _triangle_rows(corners, references, last):
     return rows
 
 
-def make_records(tree: Tree, triangles: Any) -> Records:
+def make_records(tree: Tree, triangles: Any, layout: Layout = "binary") -> Records:
     """Prepare a tree for tracing.
 
     Parameters
@@ -114,6 +120,9 @@ def make_records(tree: Tree, triangles: Any) -> Records:
     tree : Tree
     triangles : Triangles or (N, 3, 3) array
         What the tree was built for.
+    layout : "binary" or "wide"
+        The tree as it is, or collapsed to eight children per node
+        (:mod:`mibvh.traversal.collapse`).
 
     Raises
     ------
@@ -122,18 +131,22 @@ def make_records(tree: Tree, triangles: Any) -> Records:
     """
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
-    if tree.depth > MAX_DEPTH:
-        raise MibvhError(
-            f"the tree is {tree.depth} levels deep; the traversal stack has {MAX_DEPTH}"
-        )
     scale = unit_scale(triangles)
+    corners = triangles.corners * scale
     lower, upper = tree.lower * scale, tree.upper * scale
-    nodes, root = _node_rows(lower, upper, tree.left, tree.first)
-    last = np.zeros(len(tree.references), np.int32)
-    leaves = tree.is_leaf
-    last[tree.first[leaves] + tree.count[leaves] - 1] = 1
-    rows = _triangle_rows(triangles.corners * scale, tree.references, last)
-    return Records(own_memory(nodes), own_memory(rows), int(root), float(scale))
+    if layout == "wide":
+        shapes = _triangle_rows(corners, tree.references, np.ones_like(tree.references))
+        rows, root, depth = collapse(tree, corners, lower, upper).rows(shapes)
+    else:
+        nodes, root = _node_rows(lower, upper, tree.left, tree.first)
+        last = np.zeros(len(tree.references), np.int32)
+        leaves = tree.is_leaf
+        last[tree.first[leaves] + tree.count[leaves] - 1] = 1
+        rows = np.concatenate([nodes, _triangle_rows(corners, tree.references, last)])
+        depth = tree.depth
+    if depth > MAX_DEPTH:
+        raise MibvhError(f"the tree is {depth} levels deep; the traversal stack has {MAX_DEPTH}")
+    return Records(own_memory(rows), int(root), float(scale), layout)
 
 
 def unit_scale(triangles: Triangles) -> np.float32:

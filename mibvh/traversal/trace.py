@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -13,12 +13,14 @@ import numpy.typing as npt
 from mibvh.errors import MibvhError
 from mibvh.files import atomic_path
 from mibvh.rays import RaySet
-from mibvh.traversal.records import Records, make_records
+from mibvh.traversal.records import Layout, Records, make_records, own_memory, unit_scale
+from mibvh.traversal.schedule import Schedule, issued_by_bursts, issued_in_step
 from mibvh.tree import Tree
 from mibvh.triangles import F32, I32, as_triangles
 from mibvh.variant import lane_width, mitsuba
 
 Lanes = Literal["simd", "scalar"]
+Style = Literal["single", "wide"]
 U32 = npt.NDArray[np.uint32]
 
 
@@ -33,15 +35,20 @@ class Hits:
     triangle : (R,) int32
         Ids of the triangles hit; -1 for a miss.
     inner, leaves, tests : (R,) uint32
-        Inner nodes visited (both child boxes tested), leaves visited, triangles tested.
+        Inner nodes visited (all child boxes tested), leaves visited, triangles tested. A leaf
+        of the wide layout is one triangle.
     steps : (R,) uint32
-        Loop steps the ray's lane was busy for.
+        Steps the ray's lane was busy for: inner nodes and triangles.
     seconds : (K,) float64
         Kernel execution times of the timed launches, which carry no counters.
     lanes : str
         ``simd``: every lane of a packet carries a ray; ``scalar``: one does.
     lane_width : int
         Lanes of a packet.
+    issued : int
+        Lane-steps that the packets went through, busy and idle lanes alike.
+    style : str
+        ``single`` (:mod:`mibvh.traversal.kernel`) or ``wide`` (:mod:`mibvh.traversal.wide`).
     """
 
     t: F32
@@ -53,6 +60,8 @@ class Hits:
     seconds: npt.NDArray[np.float64]
     lanes: str
     lane_width: int
+    issued: int
+    style: str
 
     def __len__(self) -> int:
         return len(self.t)
@@ -70,13 +79,7 @@ class Hits:
     @property
     def lane_utilisation(self) -> float:
         """Share of the issued lane-steps in which the lane had work."""
-        if self.lanes == "scalar":
-            return 1.0 / self.lane_width
-        padded = np.zeros(-(-len(self) // self.lane_width) * self.lane_width, np.uint32)
-        padded[: len(self)] = self.steps
-        packets = padded.reshape(-1, self.lane_width)
-        issued = packets.max(axis=1).sum(dtype=np.int64) * self.lane_width
-        return float(packets.sum(dtype=np.int64) / issued) if issued else 1.0
+        return float(self.steps.sum(dtype=np.int64) / self.issued) if self.issued else 1.0
 
     def counted_cost(self, c_inner: float = 1.2, c_tri: float = 1.0) -> float:
         """Mean over the rays of ``c_inner * inner + c_tri * tests``: cost without a stopwatch."""
@@ -90,6 +93,7 @@ class Hits:
             "hits": int((self.triangle >= 0).sum()),
             "lanes": self.lanes,
             "lane_width": self.lane_width,
+            "style": self.style,
             "ns_per_ray": self.ns_per_ray,
             "ns_per_ray_quartiles": spread.tolist(),
             "launches": len(self.seconds),
@@ -120,10 +124,13 @@ class Tracer:
     scale : float
         From scene units to those of the records (:attr:`Records.scale`).
     lanes : "simd" or "scalar"
-        Scalar is the paper's way: a launch as wide as the rays times the packet, in which all
-        but one lane of each packet have exited.
+        Scalar is the paper's way: one lane of each packet carries rays, all others have exited.
+    style : "single" or "wide"
+        The binary tree in one loop, as the study uses it; or the fastest kernel, nodes of eight
+        children and lanes that fetch their next ray.
     cull : bool
-        Re-test popped nodes against the current hit. Off, as in the paper, by default.
+        Re-test popped nodes against the current hit. Off, as in the paper, by default. The wide
+        style does not know how.
     any_hit : bool
         End each ray at the first hit found.
     """
@@ -134,30 +141,63 @@ class Tracer:
         scale: float,
         lanes: Lanes = "simd",
         *,
+        style: Style = "single",
         cull: bool = False,
         any_hit: bool = False,
     ) -> None:
-        import drjit as dr
-
         if lanes not in ("simd", "scalar"):
             raise MibvhError(f"lanes must be simd or scalar, not {lanes!r}")
+        if style not in get_args(Style):
+            raise MibvhError(f"style must be one of {', '.join(get_args(Style))}, not {style!r}")
+        if cull and style == "wide":
+            raise MibvhError("the wide style does not re-test popped nodes: leave cull off")
         if len(rays) == 0:
             raise MibvhError("there are no rays to trace")
-        mi = mitsuba()
-        self.lanes, self.cull, self.any_hit, self.count = lanes, cull, any_hit, len(rays)
-        self.width = lane_width()
+        mitsuba()
+        self.lanes, self.style, self.cull, self.any_hit = lanes, style, cull, any_hit
+        self.count, self.width = len(rays), lane_width()
         # Rays that are no numbers hit nothing, and must not upset their neighbours.
         sound = np.isfinite(rays.o).all(1) & np.isfinite(rays.d).all(1) & ~np.isnan(rays.tmax)
         o = np.where(sound[:, None], rays.o * np.float32(scale), 0)
         d = np.where(sound[:, None], rays.d, 0)
-        spread = self.width if lanes == "scalar" else 1
-        self._active = mi.Bool(np.repeat(sound & (rays.d != 0).any(1), spread))
+        #: Scene units to the kernel's unit of distance, a power of two: directions are brought
+        #: to a length near 1, so that products neither overflow nor underflow.
+        stretch = np.ldexp(1.0, np.frexp(np.abs(d).max(1))[1].clip(-100, 100))
+        self.unit = stretch * scale
+        d = (d / stretch[:, None]).astype(np.float32)
+        with np.errstate(over="ignore"):
+            tmax = np.where(sound & (d != 0).any(1), rays.tmax * self.unit, -1).astype(np.float32)
+        if style == "wide":
+            self._prepare_wide(o, d, tmax)
+        else:
+            self._prepare_binary(o, d, tmax)
+
+    @property
+    def layout(self) -> Layout:
+        """Layout of the records that the style reads."""
+        return "wide" if self.style == "wide" else "binary"
+
+    def _prepare_binary(self, o: F32, d: F32, tmax: F32) -> None:
+        import drjit as dr
+
+        mi = mitsuba()
+        spread = self.width if self.lanes == "scalar" else 1
+        self._active = mi.Bool(np.repeat(tmax >= 0, spread))
         if spread > 1:
             self._active &= dr.arange(mi.UInt32, self.count * spread) % spread == 0
         self._o = mi.Point3f(np.repeat(o, spread, axis=0).T)
         self._d = mi.Vector3f(np.repeat(d, spread, axis=0).T)
-        self._tmax = mi.Float(np.repeat(rays.tmax * np.float32(scale), spread))
+        self._tmax = mi.Float(np.repeat(tmax, spread))
         dr.eval(self._o, self._d, self._tmax, self._active)
+
+    def _prepare_wide(self, o: F32, d: F32, tmax: F32) -> None:
+        from mibvh.traversal.wide import RAY_ROW
+
+        rows = np.zeros((self.count, RAY_ROW), np.float32)
+        rows[:, :3], rows[:, 3:6], rows[:, 6] = o, d, tmax
+        self._rows = own_memory(rows)
+        self._schedule = Schedule.of(self.count, self.width, self.lanes == "scalar")
+        self._first, self._end = self._schedule.rays()
 
     def run(self, records: Records, *, count: bool = False) -> tuple[tuple[Any, ...], float]:
         """Trace once.
@@ -171,28 +211,61 @@ class Tracer:
         """
         import drjit as dr
 
-        from mibvh.traversal.kernel import walk
-
+        if records.layout != self.layout:
+            raise MibvhError(
+                f"the {self.style} style reads {self.layout} records, not {records.layout} ones"
+            )
+        launch = self._launch_wide if self.style == "wide" else self._launch_binary
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
-            outputs = walk(
-                records, self._o, self._d, self._tmax, self._active,
-                cull=self.cull, count=count, any_hit=self.any_hit,
-            )  # fmt: skip
-            dr.eval(outputs if count else outputs[:2])
+            outputs = launch(records, count)
             dr.sync_thread()
             history = dr.kernel_history([dr.KernelType.JIT])
         return outputs, sum(kernel["execution_time"] for kernel in history) / 1e3
 
+    def _launch_binary(self, records: Records, count: bool) -> tuple[Any, ...]:
+        import drjit as dr
+
+        from mibvh.traversal.kernel import walk
+
+        outputs = walk(
+            records, self._o, self._d, self._tmax, self._active,
+            cull=self.cull, count=count, any_hit=self.any_hit,
+        )  # fmt: skip
+        dr.eval(outputs if count else outputs[:2])
+        return outputs
+
+    def _launch_wide(self, records: Records, count: bool) -> tuple[Any, ...]:
+        import drjit as dr
+
+        from mibvh.traversal.wide import walk_wide
+
+        mi = mitsuba()
+        t = dr.empty(mi.Float, self.count)
+        triangle, inner, tests = (dr.empty(mi.UInt32, self.count) for _ in range(3))
+        walk_wide(
+            records, self._rows, self._first, self._end, self._schedule.lanes,
+            dr.opaque(mi.UInt32, self._schedule.burst), t, triangle, (inner, tests),
+            count=count, any_hit=self.any_hit,
+        )  # fmt: skip
+        dr.eval(t, triangle, inner, tests)
+        return t, triangle, inner, tests, tests
+
     def fetch(self, column: Any) -> npt.NDArray[Any]:
         """One output as a NumPy array with a row per ray."""
         values = np.array(column)
-        return values[:: self.width].copy() if self.lanes == "scalar" else values
+        return values[:: self.width].copy() if len(values) > self.count else values
+
+    def issued(self, inner: U32, tests: U32) -> int:
+        """Lane-steps that the packets went through for rays of so many visits."""
+        if self.style == "wide":
+            return issued_by_bursts(inner + tests, self._schedule)
+        return issued_in_step(inner + tests, self.width, self.lanes == "scalar")
 
 
 @functools.lru_cache(maxsize=2)
-def _cached_records(tree: Tree, triangles: Any, variant: str) -> Records:
-    return make_records(tree, triangles)
+def _cached_records(tree: Tree, triangles: Any, layout: Layout, variant: str) -> Records:
+    return make_records(tree, triangles, layout)
 
 
 def trace(
@@ -201,6 +274,7 @@ def trace(
     rays: RaySet,
     lanes: Lanes = "simd",
     *,
+    style: Style = "single",
     cull: bool = False,
     any_hit: bool = False,
     repeats: int = 5,
@@ -215,8 +289,12 @@ def trace(
     rays : RaySet
     lanes : "simd" or "scalar"
         Whether all lanes of a packet carry rays, or one does (the paper's scalar figures).
+    style : "single" or "wide"
+        The binary tree in one loop, as the study uses it; or the fastest kernel, on the tree
+        collapsed to eight children per node.
     cull : bool
-        Re-test popped nodes against the current hit. The paper's kernel does not.
+        Re-test popped nodes against the current hit. The paper's kernel does not, the wide
+        style cannot.
     any_hit : bool
         End each ray at the first hit found instead of the closest.
     repeats : int
@@ -240,14 +318,15 @@ def trace(
             f"the rays (of {rays.meta.get('scene', 'another scene')}) were made for another "
             f"geometry than {triangles.name}"
         )
-    records = _cached_records(tree, triangles, mitsuba().variant())
-    tracer = Tracer(rays, records.scale, lanes, cull=cull, any_hit=any_hit)
+    scale = float(unit_scale(triangles))
+    tracer = Tracer(rays, scale, lanes, style=style, cull=cull, any_hit=any_hit)
+    records = _cached_records(tree, triangles, tracer.layout, mitsuba().variant())
     outputs, _ = tracer.run(records, count=True)
     tracer.run(records)  # the first launch may compile
     seconds = np.array([tracer.run(records)[1] for _ in range(repeats)])
-    t, triangle, inner, leaves, tests, steps = (tracer.fetch(column) for column in outputs)
+    t, triangle, inner, leaves, tests = (tracer.fetch(column) for column in outputs)
     return Hits(
-        (t / np.float32(records.scale)).astype(np.float32),
-        triangle.view(np.int32),
-        inner, leaves, tests, steps, seconds, lanes, tracer.width,
+        (t / tracer.unit).astype(np.float32), triangle.view(np.int32),
+        inner, leaves, tests, inner + tests, seconds,
+        lanes, tracer.width, tracer.issued(inner, tests), style,
     )  # fmt: skip
