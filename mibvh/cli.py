@@ -74,13 +74,21 @@ def _load(source: str) -> Any:
     return scene
 
 
-def _parse_options(pairs: list[str]) -> dict[str, Any]:
-    """``name=value`` pairs; values as JSON where they are, otherwise as text."""
-    options: dict[str, Any] = {}
+def _parse_pairs(pairs: list[str], option: str = "--option") -> dict[str, str]:
+    """Split ``name=value`` pairs."""
+    parsed = {}
     for pair in pairs:
         name, equals, value = pair.partition("=")
         if not equals or not name:
-            raise MibvhError(f"--option takes NAME=VALUE, not {pair!r}")
+            raise MibvhError(f"{option} takes NAME=VALUE, not {pair!r}")
+        parsed[name] = value
+    return parsed
+
+
+def _parse_options(pairs: list[str]) -> dict[str, Any]:
+    """Split ``name=value`` pairs; values as JSON where they are, otherwise as text."""
+    options: dict[str, Any] = {}
+    for name, value in _parse_pairs(pairs).items():
         try:
             options[name] = json.loads(value)
         except ValueError:
@@ -215,6 +223,56 @@ def trace(
     if output:
         hits.save(output)
     _print(hits.summary(), as_json)
+
+
+@app.command()
+def render(
+    scene: SceneArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="the EXR or PNG to write")],
+    integrator: Annotated[
+        str, typer.Option(help="bvh_path, bvh_cost, bvh_rays, or any of Mitsuba's")
+    ] = "bvh_path",
+    builder: Annotated[
+        str | None, typer.Option(help="of the tree; sbvh by default (bvh_path, bvh_cost)")
+    ] = None,
+    compare: Annotated[str | None, typer.Option(help="of a second tree (bvh_cost)")] = None,
+    option: Annotated[
+        list[str] | None, typer.Option(help="NAME=VALUE of the integrator or the builder")
+    ] = None,
+    define: Annotated[
+        list[str] | None, typer.Option("-D", "--define", help="NAME=VALUE for $NAME in the XML")
+    ] = None,
+    spp: Annotated[int, typer.Option(help="samples per pixel")] = 16,
+    size: Annotated[str | None, typer.Option(help="WxH in pixels; the scene's by default")] = None,
+    sensor: Annotated[int, typer.Option(help="which of the scene's cameras")] = 0,
+    seed: Annotated[int, typer.Option(help="of the image")] = 0,
+    quantity: Annotated[
+        list[str] | None, typer.Option(help="what a PNG of bvh_cost shows; may be repeated")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Render a scene through a tree, or heat maps of what rays cost in it."""
+    from mibvh.mitsuba.render import render as run
+
+    parameters = _parse_options(option or [])
+    parameters |= {k: v for k, v in (("builder", builder), ("compare", compare)) if v is not None}
+    pixels = None
+    if size is not None:
+        width, _, height = size.partition("x")
+        if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
+            raise MibvhError(f"--size takes WIDTHxHEIGHT, such as 640x480, not {size!r}")
+        pixels = (int(width), int(height))
+    with _progress() as bar:
+        task = bar.add_task("scene", total=1.0)
+        facts, notes = run(
+            scene, output, integrator, parameters=parameters, size=pixels, spp=spp, sensor=sensor,
+            defines=_parse_pairs(define or [], "-D"), seed=seed, quantities=quantity or (),
+            progress=lambda stage, done: bar.update(task, description=stage, completed=done),
+        )  # fmt: skip
+    for note in notes:
+        typer.echo(f"mibvh: {scene}: {note}", err=True)
+    means = facts.pop("means") if not as_json else {}
+    _print({**facts, **{f"mean {name}": value for name, value in means.items()}}, as_json)
 
 
 @app.command()

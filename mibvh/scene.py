@@ -46,14 +46,21 @@ class Scene:
 
 def mitsuba_geometry(triangles: Triangles) -> Any:
     """Make a Mitsuba scene of one mesh whose ``prim_index`` is the triangle id."""
+    return mitsuba().load_dict({"type": "scene", "mesh": mitsuba_mesh(triangles)})
+
+
+def mitsuba_mesh(triangles: Triangles) -> Any:
+    """Make a Mitsuba mesh, grey on both sides, whose ``prim_index`` is the triangle id."""
     mi = mitsuba()
     count = len(triangles)
-    mesh = mi.Mesh("triangles", vertex_count=3 * count, face_count=count)
+    props = mi.Properties()
+    props["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": {"type": "diffuse"}})
+    mesh = mi.Mesh("triangles", vertex_count=3 * count, face_count=count, props=props)
     params = mi.traverse(mesh)
     params["vertex_positions"] = mi.Float(triangles.corners.ravel())
     params["faces"] = mi.UInt32(np.arange(3 * count, dtype=np.uint32))
     params.update()
-    return mi.load_dict({"type": "scene", "mesh": mesh})
+    return mesh
 
 
 def load(source: Any) -> Scene:

@@ -1,5 +1,6 @@
 """The Mitsuba plugins: the same images as Mitsuba's own, exact heat maps."""
 
+import json
 import shutil
 import subprocess
 import sys
@@ -9,10 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
+from conftest import closed_box
 
 import mibvh
 import mibvh.mitsuba
+from mibvh.cli import main
 from mibvh.mitsuba.costs import QUANTITIES, CostProbe, leaf_depths
+from mibvh.mitsuba.coverage import Coverage
 from mibvh.variant import mitsuba
 
 mi = mitsuba()
@@ -279,3 +284,97 @@ print(mibvh.mitsuba.register.__code__.co_filename)
     assert Path(file).is_relative_to(tmp_path)
     assert names[0] == names[2] != names[1]
     assert names[0].count("llvm_ad_mono") == len(mibvh.mitsuba.PLUGINS)
+
+
+def test_rays_are_those_of_diffuse_rays_and_shown_where_they_end(tmp_path):
+    path = mibvh.bundled.bundled_scene("cornell@3000")
+    scene = mi.load_file(str(path), optimize=False)
+    params = mi.traverse(scene.sensors()[0])
+    params["film.size"] = [16, 12]
+    params.update()
+    how = {"width": 24, "height": 16, "samples": 2, "bounces": 2, "seed": 5}
+    file = tmp_path / "rays.npz"
+    integrator = mi.load_dict({"type": "bvh_rays", "filename": str(file), **how})
+    channels = mibvh.mitsuba.image_channels(
+        mi.render(scene, integrator=integrator, spp=1), integrator
+    )
+    assert set(channels) == {
+        "all.density", "bounce1.density", "bounce2.density", "shade", "hit",
+    }  # fmt: skip
+    wanted = mibvh.diffuse_rays(scene, **how)
+    assert integrator.rays.digest == wanted.digest == mibvh.RaySet.load(file).digest
+    assert integrator.rays.meta["digest"] == wanted.meta["digest"]
+    assert set(wanted.bounce) == {1, 2}
+    assert channels["bounce2.density"].max() > 0
+    assert mibvh.mitsuba.coverage_figure(channels, wanted).axes[0].get_title() == (
+        f"all bounces: {len(wanted):,} rays"
+    )
+
+
+def test_density_of_ray_ends_is_relative_to_an_even_spread():
+    """Rays straight down onto the left half of a square: twice as dense there, none elsewhere."""
+    square = np.array([[[0, 0, 0], [2, 0, 0], [2, 1, 0]], [[0, 0, 0], [2, 1, 0], [0, 1, 0]]])
+    rng = np.random.default_rng(1)
+    n = 40000
+    o = np.column_stack([rng.random((n, 2)), np.ones(n)]).astype(np.float32)
+    d = np.tile(np.float32([0, 0, -1]), (n, 1))
+    zero = np.zeros(n, np.int32)
+    rays = mibvh.RaySet(o, d, np.full(n, np.inf, np.float32), zero, zero + 1, zero)
+    coverage = Coverage(mibvh.load(square.astype(np.float32)), rays)
+    inside = np.column_stack([0.1 + 0.8 * rng.random((500, 2)), np.zeros(500)])
+    assert coverage.density(inside, "bounce1").mean() == pytest.approx(2, rel=0.1)
+    assert coverage.density(inside + [1, 0, 0], "all").mean() < 0.02
+    assert not coverage.density(inside, "bounce2").any()
+
+
+def test_render_command(tmp_path, capsys, monkeypatch):
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["mibvh", "render", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code or 0, *capsys.readouterr()
+
+    xml = tmp_path / "s.xml"
+    xml.write_text(
+        '<scene version="3.0.0"><default name="grey" value="0.1"/><sensor type="perspective">'
+        '<transform name="to_world"><lookat origin="0, 0, -5" target="0, 0, 0" up="0, 1, 0"/>'
+        '</transform></sensor><emitter type="constant"/><shape type="sphere" id="ball">'
+        '<point name="center" value="0, 3, 0"/></shape>'
+        '<shape type="cube"><bsdf type="diffuse"><rgb name="reflectance" value="$grey"/></bsdf>'
+        "</shape></scene>"
+    )
+    image = tmp_path / "a.exr"
+    small = ("--size", "12x8", "--spp", 2)
+    code, out, err = run(xml, "-o", image, *small, "-D", "grey=0.9", "--builder", "lbvh", "--json")
+    assert code == 0
+    assert json.loads(out)["width"] == 12
+    assert "cannot hold Sphere 'ball'" in err
+    assert np.array(mi.Bitmap(str(image)))[4, 6, 0] > 0.5  # 0.1 at most without -D
+    code, out, _ = run(
+        "cornell@3000", "-o", image, *small, "--integrator", "bvh_cost", "--compare", "lbvh",
+        "--json",
+    )  # fmt: skip
+    assert json.loads(out)["means"]["difference.cost"] > 0
+    names = [field.name for field in mi.Bitmap(str(image)).struct_()]
+    assert {"R", "sbvh.overlap", "lbvh.leaf_depth", "difference.cost", "hit"} <= set(names)
+    corners = closed_box(-1, 1)
+    trimesh.Trimesh(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3)).export(
+        tmp_path / "box.ply"
+    )
+    for integrator in ("bvh_path", "bvh_rays", "bvh_cost"):
+        picture = tmp_path / f"{integrator}.png"
+        code, _, _ = run(tmp_path / "box.ply", "-o", picture, *small, "--integrator", integrator)
+        assert code == 0
+        assert np.array(mi.Bitmap(str(picture))).std() > 0
+    for arguments, said in [
+        (("-o", tmp_path / "b.jpg"), "an image is an .exr or a .png file"),
+        (("-o", image, "--size", "12"), "--size takes WIDTHxHEIGHT"),
+        (("-o", image, "--spp", 0), "spp must be at least 1"),
+        (("-o", image, "--sensor", 9), "there is no 9"),
+        (("-o", image, "-D", "grey"), "-D takes NAME=VALUE"),
+        (("-o", image, "--builder", "oak"), "integrator bvh_path: there is no builder 'oak'"),
+    ]:
+        code, out, err = run("cornell@3000", *arguments)
+        assert (code, out) == (2, "")
+        assert said in err
+        assert err.count("\n") == 1

@@ -5,6 +5,7 @@ before or after:
 
 - ``bvh_path``: a path tracer whose every ray goes through a tree of mibvh's
 - ``bvh_cost``: heat maps of what the rays of the camera cost in a tree, or in two
+- ``bvh_rays``: traces diffuse rays into a :class:`mibvh.RaySet`, and shows where they end
 
 Examples
 --------
@@ -21,9 +22,10 @@ Examples
 from __future__ import annotations
 
 from mibvh.mitsuba.accelerator import Accelerator
+from mibvh.mitsuba.coverage import coverage_figure
 from mibvh.mitsuba.heatmap import cost_figure, image_channels
 from mibvh.mitsuba.register import PLUGINS, register
 
-__all__ = ["PLUGINS", "Accelerator", "cost_figure", "image_channels", "register"]
+__all__ = ["PLUGINS", "Accelerator", "cost_figure", "coverage_figure", "image_channels", "register"]
 
 register()

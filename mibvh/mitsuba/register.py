@@ -12,7 +12,7 @@ from mibvh.bundled import folder
 from mibvh.errors import MibvhError
 
 #: The files in ``plugins/``; each registers what it is named after.
-PLUGINS = ("bvh_cost", "bvh_path")
+PLUGINS = ("bvh_cost", "bvh_path", "bvh_rays")
 _done: set[str] = set()
 
 

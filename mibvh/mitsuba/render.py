@@ -1,0 +1,207 @@
+"""Rendering from the command line: any scene, any integrator, to EXR or PNG."""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mibvh.errors import MibvhError
+from mibvh.files import atomic_path
+from mibvh.mitsuba.coverage import coverage_figure
+from mibvh.mitsuba.heatmap import cost_figure, image_channels
+from mibvh.mitsuba.register import PLUGINS
+from mibvh.scene import load, mitsuba_mesh
+from mibvh.variant import mitsuba
+
+#: Samples that one pass takes at most: what keeps memory small and the progress bar moving.
+_PASS = 1 << 21
+Progress = Callable[[str, float], None]
+
+
+def render(
+    source: str,
+    output: str | os.PathLike[str],
+    integrator: str = "bvh_path",
+    *,
+    parameters: dict[str, Any] | None = None,
+    defines: dict[str, str] | None = None,
+    spp: int = 16,
+    size: tuple[int, int] | None = None,
+    sensor: int = 0,
+    seed: int = 0,
+    quantities: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> tuple[dict[str, Any], list[str]]:
+    """Render a scene to a file.
+
+    Parameters
+    ----------
+    source : str
+        Mitsuba XML, a mesh file, or a bundled scene's name. A mesh file is lit by an even sky and
+        a lamp at the first of its automatic viewpoints.
+    output : path
+        ``.exr`` holds all channels as they are; ``.png`` an sRGB picture, or the figure of a heat
+        map with its scale and legend.
+    integrator : str
+        One of mibvh's, or any of Mitsuba's.
+    parameters : dict, optional
+        Of the integrator.
+    defines : dict, optional
+        Mitsuba's ``-D``: values for the ``$name`` in the XML file.
+    spp : int
+        Samples per pixel.
+    size : (int, int), optional
+        Width and height in pixels; the scene's by default.
+    sensor : int
+        Which of the scene's cameras.
+    seed : int
+    quantities : sequence of str
+        What a PNG of ``bvh_cost`` shows; see :func:`mibvh.mitsuba.cost_figure`.
+    progress : callable, optional
+        Called as ``progress(stage, done)``.
+
+    Returns
+    -------
+    facts : dict
+        What was rendered, JSON-able.
+    notes : list of str
+        What was said in warnings, such as what a tree cannot hold.
+
+    Raises
+    ------
+    MibvhError
+        If the scene cannot be loaded, or anything is out of range.
+    """
+    mi = mitsuba()
+    tell = progress or (lambda stage, done: None)
+    kind = Path(output).suffix.lower()
+    if kind not in (".exr", ".png"):
+        raise MibvhError(f"{output}: an image is an .exr or a .png file")
+    if spp < 1:
+        raise MibvhError(f"spp must be at least 1, not {spp}")
+    plugin = _instantiate(integrator, parameters or {})
+    scene = _mitsuba_scene(source, defines or {})
+    if not 0 <= sensor < len(scene.sensors()):
+        raise MibvhError(
+            f"{source} has {len(scene.sensors())} cameras, numbered from 0; there is no {sensor}"
+        )
+    camera = scene.sensors()[sensor]
+    if size:
+        params = mi.traverse(camera)
+        params["film.size"] = list(size)
+        params.update()
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", UserWarning)
+        if integrator in PLUGINS:
+            plugin.prepare(scene, camera, progress=tell)
+        image = _in_passes(plugin, scene, camera, seed, spp, tell)
+    notes = list(dict.fromkeys(str(w.message) for w in said if w.category is UserWarning))
+    with atomic_path(output) as path:
+        if kind == ".exr":
+            _write_exr(mi, image, plugin, path)
+        else:
+            _write_png(mi, image, plugin, integrator, quantities, path)
+    height, width = image.shape[:2]
+    means = {name: float(values.mean()) for name, values in image_channels(image, plugin).items()}
+    facts = {
+        "image": str(output), "integrator": integrator, "width": width, "height": height,
+        "spp": spp, "seed": seed, "variant": mi.variant(), "means": means,
+    }  # fmt: skip
+    return facts, notes
+
+
+def _instantiate(integrator: str, parameters: dict[str, Any]) -> Any:
+    mi = mitsuba()
+    try:
+        return mi.load_dict({"type": integrator, **parameters})
+    except (RuntimeError, TypeError) as error:
+        text = str(error)
+        ours = re.search(r"MibvhError: (.*)", text)
+        reason = ours.group(1) if ours else " ".join(text.split())
+        raise MibvhError(f"integrator {integrator}: {reason}") from None
+
+
+def _mitsuba_scene(source: str, defines: dict[str, str]) -> Any:
+    """Load a scene as Mitsuba renders it: not flattened, with its own lights."""
+    mi = mitsuba()
+    path = Path(source)
+    if not path.exists():
+        from mibvh.bundled import bundled_scene
+
+        path = bundled_scene(source)
+    if path.suffix.lower() == ".xml":
+        try:
+            # Meshes that are merged would give the triangles other numbers than load() does.
+            scene = mi.load_file(str(path), optimize=False, **defines)
+        except RuntimeError as error:
+            reason = " ".join(str(error).split())
+            raise MibvhError(f"{source}: Mitsuba cannot load it ({reason})") from None
+        if not isinstance(scene, mi.Scene):
+            raise MibvhError(f"{source}: describes no scene")
+        return scene
+    if defines:
+        raise MibvhError(f"{source}: -D sets parameters of Mitsuba XML, which this file is not")
+    loaded = load(source)
+    matrix = np.array(loaded.sensors[0].world_transform().matrix, dtype=float).reshape(4, 4)
+    # The sky does not shine into a closed room, a lamp at the first camera does.
+    lamp = {
+        "type": "point", "position": matrix[:3, 3].tolist(),
+        "intensity": float(loaded.triangles.diagonal) ** 2,
+    }  # fmt: skip
+    return mi.load_dict({
+        "type": "scene", "mesh": mitsuba_mesh(loaded.triangles), "sky": {"type": "constant"},
+        "lamp": lamp, **{f"sensor_{i}": sensor for i, sensor in enumerate(loaded.sensors)},
+    })  # fmt: skip
+
+
+def _in_passes(
+    plugin: Any, scene: Any, camera: Any, seed: int, spp: int, tell: Progress
+) -> npt.NDArray[np.float32]:
+    """Average of passes of equally many samples, and a last one of what is left."""
+    width, height = camera.film().size()
+    each = min(spp, max(1, _PASS // (width * height)))
+    total: Any = 0.0
+    done = 0
+    tell("render", 0.0)
+    while done < spp:
+        samples = min(each, spp - done)
+        # The number of the pass counts as a seed: other paths each time.
+        image = plugin.render(scene, camera, seed=seed * 65536 + done // each, spp=samples)
+        total = total + np.array(image, dtype=np.float64) * samples
+        done += samples
+        tell("render", done / spp)
+    return (total / spp).astype(np.float32)
+
+
+def _write_exr(mi: Any, image: npt.NDArray[np.float32], plugin: Any, path: Path) -> None:
+    names = plugin.aov_names()
+    colours = image.shape[2] - len(names)
+    channels = [*(["Y"] if colours == 1 else "RGBA"[:colours]), *names]
+    bitmap = mi.Bitmap(image, mi.Bitmap.PixelFormat.MultiChannel, channels)
+    bitmap.write(str(path), mi.Bitmap.FileFormat.OpenEXR)
+
+
+def _write_png(
+    mi: Any, image: npt.NDArray[np.float32], plugin: Any, integrator: str,
+    quantities: Sequence[str], path: Path,
+) -> None:  # fmt: skip
+    if integrator in ("bvh_cost", "bvh_rays"):
+        channels = image_channels(image, plugin)
+        figure = (
+            cost_figure(channels, quantities or None)
+            if integrator == "bvh_cost"
+            else coverage_figure(channels, plugin.rays)
+        )
+        figure.savefig(path, format="png", dpi=120, facecolor="white")
+        return
+    colours = image.shape[2] - len(plugin.aov_names())
+    shown = image[..., : 3 if colours >= 3 else 1]
+    bitmap = mi.util.convert_to_bitmap(np.ascontiguousarray(shown))
+    bitmap.write(str(path), mi.Bitmap.FileFormat.PNG)
