@@ -45,6 +45,7 @@ def claim_answers(records: list[dict[str, Any]], found: pd.DataFrame) -> list[Sh
             "for a claim to have held is our choice, and stands in the last column. Times are "
             f"known to {_noise(records)}: claims on time say no more than that.",
             frame=claims(records, found),
+            unfolded=True,
         )
     ]
     compared = paper_comparison(records, found)
@@ -160,7 +161,7 @@ def _rotation(records: list[dict[str, Any]]) -> list[Sheet]:
         return []
     note = (
         "Cost in the turned frame over that in the given one, mean over the {}; the trees are "
-        "built anew, the rays are the same. α is the mean of those fitted to scalar time."
+        "built anew, the rays are the same. α is the mean of those fitted to counted cost."
     )
     by_scene = factors.groupby("scene", sort=False)[list(FACTORS)].mean()
     mean = by_scene.mean().rename("mean of the scenes")

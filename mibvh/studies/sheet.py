@@ -55,6 +55,8 @@ class Sheet:
         Columns that are not shown by themselves but behind another, as its relative error.
     best : tuple of str
         Columns of which the smallest value is the best.
+    unfolded : bool
+        Whether a page shows it at once however many rows it has.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Sheet:
     help: Mapping[str, str] = dataclasses.field(default_factory=dict)
     errors: Mapping[str, str] = dataclasses.field(default_factory=dict)
     best: tuple[str, ...] = ()
+    unfolded: bool = False
 
     @property
     def heads(self) -> list[str]:
@@ -75,7 +78,7 @@ class Sheet:
     @property
     def long(self) -> bool:
         """Whether it has so many rows that a page shows it folded."""
-        return len(self.frame) > _LONG
+        return not self.unfolded and len(self.frame) > _LONG
 
     def is_text(self, head: str) -> bool:
         """Whether a column holds words rather than numbers."""
