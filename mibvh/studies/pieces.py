@@ -159,14 +159,18 @@ def costs_by_origin(rays: RaySet, costs: np.ndarray) -> list[dict[str, Any]]:
     list of dict
         ``bounce, viewpoint, rays, cost``, for each pair that has rays.
     """
-    pairs, group = np.unique(
-        np.stack([rays.bounce, rays.viewpoint], axis=1), axis=0, return_inverse=True
-    )
-    group = group.ravel()
+    bounce, viewpoint = rays.bounce.astype(np.int64), rays.viewpoint.astype(np.int64)
+    group = bounce * (viewpoint.max(initial=0) + 1) + viewpoint
     count, sums = np.bincount(group), np.bincount(group, costs)
+    _, first = np.unique(group, return_index=True)
     return [
-        {"bounce": int(bounce), "viewpoint": int(view), "rays": int(n), "cost": float(total / n)}
-        for (bounce, view), n, total in zip(pairs, count, sums, strict=True)
+        {
+            "bounce": int(bounce[i]),
+            "viewpoint": int(viewpoint[i]),
+            "rays": int(count[group[i]]),
+            "cost": float(sums[group[i]] / count[group[i]]),
+        }
+        for i in first
     ]
 
 
