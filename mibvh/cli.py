@@ -203,7 +203,8 @@ def trace(
     rays: RaysArgument,
     lanes: Annotated[str, typer.Option(help="simd or scalar")] = "simd",
     style: Annotated[
-        str, typer.Option(help="single loop (as the study), or wide: the fastest")
+        str,
+        typer.Option(help="single (as the study), while-while, postponed, or wide: the fastest"),
     ] = "single",
     cull: Annotated[bool, typer.Option(help="re-test popped nodes against the hit")] = False,
     any_hit: Annotated[bool, typer.Option(help="end at the first hit found")] = False,

@@ -1,9 +1,7 @@
 """The binary traversal kernel: one Dr.Jit source for LLVM and CUDA.
 
 Each lane carries one ray. A step of the loop does for every lane what that lane needs next:
-test the two children of an inner node, or one triangle of a leaf. The nearer child is gone to,
-the farther one pushed; a popped node is taken as it is (the kernel of Aila, Laine and Karras
-2012, as in the paper), or, with ``cull``, only if it still begins before the current hit.
+test the two children of an inner node, or one triangle of a leaf.
 """
 
 from __future__ import annotations
@@ -12,9 +10,9 @@ from typing import Any
 
 import drjit as dr
 
-from mibvh.traversal.geometry import inverse, slabs, smaller, triangle_hit
-from mibvh.traversal.records import DONE, ROW, Records
-from mibvh.tree import MAX_DEPTH
+from mibvh.traversal.geometry import inverse
+from mibvh.traversal.records import DONE, Records
+from mibvh.traversal.steps import fetch, new_stack, node_step, pop, triangle_step
 from mibvh.variant import mitsuba
 
 
@@ -61,9 +59,7 @@ def walk(
     mi = mitsuba()
     n = dr.width(o)
     inv = inverse(d)
-    stack = dr.alloc_local(mi.Int32, MAX_DEPTH)
-    if dr.hint(cull, mode="scalar"):
-        stack_t = dr.alloc_local(mi.Float, MAX_DEPTH)
+    stack, begins = new_stack(cull)
     top = dr.full(mi.UInt32, 0, n)
     t = dr.select(active, tmax, 0)
     triangle = dr.full(mi.UInt32, 0xFFFFFFFF, n)
@@ -74,51 +70,26 @@ def walk(
     fresh = dr.full(mi.Bool, True, n)
 
     while node != DONE:
-        pop = mi.Bool(False)
-        # One fetch for both kinds of row: ~node for a leaf.
-        row = dr.gather(mi.ArrayXf, records.rows, mi.UInt32(node ^ (node >> 31)), shape=(ROW, n))
+        lost = mi.Bool(False)
+        # One fetch for both kinds of row.
+        row = fetch(records, node)
         if node >= 0:
-            near_l, far_l = slabs(row, 0, o, inv)
-            near_r, far_r = slabs(row, 6, o, inv)
-            hit_l = near_l <= smaller(far_l, t)
-            hit_r = near_r <= smaller(far_r, t)
-            left = dr.reinterpret_array(mi.Int32, row[12])
-            right = dr.reinterpret_array(mi.Int32, row[13])
-            # -- go to the nearer, push the farther
-            swap = hit_r & (~hit_l | (near_r < near_l))
-            if hit_l & hit_r:
-                stack[top] = dr.select(swap, left, right)
-                if dr.hint(cull, mode="scalar"):
-                    stack_t[top] = dr.select(swap, near_l, near_r)
-                top += 1
-            node = dr.select(swap, right, left)
-            pop = ~(hit_l | hit_r)
+            node, lost, top = node_step(row, o, inv, t, stack, begins, top)
             if dr.hint(count, mode="scalar"):
                 inner += 1
                 fresh = mi.Bool(True)
         else:
-            hit, at = triangle_hit(row, o, d, t)
-            t = dr.select(hit, at, t)
-            triangle = dr.select(hit, dr.reinterpret_array(mi.UInt32, row[12]), triangle)
-            pop = dr.reinterpret_array(mi.UInt32, row[13]) != 0
+            t, triangle, hit, lost = triangle_step(row, o, d, t, triangle)
             if dr.hint(count, mode="scalar"):
                 tests += 1
                 leaves += dr.select(fresh, mi.UInt32(1), mi.UInt32(0))
-                fresh = mi.Bool(pop)
+                fresh = mi.Bool(lost)
             node -= 1
             if dr.hint(any_hit, mode="scalar"):
                 if hit:
                     top = mi.UInt32(0)
-                    pop = mi.Bool(True)
-        if pop:
-            node = mi.Int32(DONE)
-            if dr.hint(cull, mode="scalar"):
-                while (top > 0) & (node == DONE):
-                    top -= 1
-                    node = dr.select(stack_t[top] <= t, stack[top], mi.Int32(DONE))
-            else:
-                if top > 0:
-                    top -= 1
-                    node = stack[top]
+                    lost = mi.Bool(True)
+        if lost:
+            node, top = pop(stack, begins, top, t)
     t = dr.select(triangle == 0xFFFFFFFF, dr.inf, t)
     return t, triangle, inner, leaves, tests

@@ -20,7 +20,7 @@ from mibvh.triangles import F32, I32, as_triangles
 from mibvh.variant import lane_width, mitsuba
 
 Lanes = Literal["simd", "scalar"]
-Style = Literal["single", "wide"]
+Style = Literal["single", "while-while", "postponed", "wide"]
 U32 = npt.NDArray[np.uint32]
 
 
@@ -48,7 +48,8 @@ class Hits:
     issued : int
         Lane-steps that the packets went through, busy and idle lanes alike.
     style : str
-        ``single`` (:mod:`mibvh.traversal.kernel`) or ``wide`` (:mod:`mibvh.traversal.wide`).
+        ``single`` (:mod:`mibvh.traversal.kernel`), ``while-while`` or ``postponed``
+        (:mod:`mibvh.traversal.rounds`), or ``wide`` (:mod:`mibvh.traversal.wide`).
     """
 
     t: F32
@@ -125,9 +126,10 @@ class Tracer:
         From scene units to those of the records (:attr:`Records.scale`).
     lanes : "simd" or "scalar"
         Scalar is the paper's way: one lane of each packet carries rays, all others have exited.
-    style : "single" or "wide"
-        The binary tree in one loop, as the study uses it; or the fastest kernel, nodes of eight
-        children and lanes that fetch their next ray.
+    style : "single", "while-while", "postponed" or "wide"
+        The binary tree in one loop, as the study uses it; in rounds of descending and testing
+        leaves, without and with a leaf put aside (the speculative kernel of Aila and Laine 2009);
+        or the fastest kernel, nodes of eight children and lanes that fetch their next ray.
     cull : bool
         Re-test popped nodes against the current hit. Off, as in the paper, by default. The wide
         style does not know how.
@@ -223,15 +225,20 @@ class Tracer:
             history = dr.kernel_history([dr.KernelType.JIT])
         return outputs, sum(kernel["execution_time"] for kernel in history) / 1e3
 
-    def _launch_binary(self, records: Records, count: bool) -> tuple[Any, ...]:
+    def _launch_binary(self, records: Records, count: bool, longest: Any = None) -> tuple[Any, ...]:
         import drjit as dr
 
         from mibvh.traversal.kernel import walk
+        from mibvh.traversal.rounds import walk_in_rounds
 
-        outputs = walk(
-            records, self._o, self._d, self._tmax, self._active,
-            cull=self.cull, count=count, any_hit=self.any_hit,
-        )  # fmt: skip
+        rays = self._o, self._d, self._tmax, self._active
+        if self.style == "single":
+            outputs = walk(records, *rays, cull=self.cull, count=count, any_hit=self.any_hit)
+        else:
+            outputs = walk_in_rounds(
+                records, *rays, postpone=self.style == "postponed",
+                cull=self.cull, count=count, any_hit=self.any_hit, longest=longest,
+            )  # fmt: skip
         dr.eval(outputs if count else outputs[:2])
         return outputs
 
@@ -256,11 +263,43 @@ class Tracer:
         values = np.array(column)
         return values[:: self.width].copy() if len(values) > self.count else values
 
-    def issued(self, inner: U32, tests: U32) -> int:
+    def issued(self, records: Records, inner: U32, leaves: U32, tests: U32) -> int:
         """Lane-steps that the packets went through for rays of so many visits."""
         if self.style == "wide":
             return issued_by_bursts(inner + tests, self._schedule)
-        return issued_in_step(inner + tests, self.width, self.lanes == "scalar")
+        if self.style == "single":
+            return issued_in_step(inner + tests, self.width, self.lanes == "scalar")
+        return int(self.rounds(records, leaves)[1].sum(dtype=np.int64)) * self.width
+
+    def rounds(self, records: Records, leaves: U32) -> tuple[I32, U32]:
+        """Launch once more, to see how long the rounds of each packet are.
+
+        Parameters
+        ----------
+        records : Records
+        leaves : (R,) uint32
+            Leaves that each ray visits.
+
+        Returns
+        -------
+        start : (P,) int32
+            Each packet's first round.
+        steps : (N, 2) uint32
+            The most steps that a lane took in a round, in the descent and in the leaves. A packet
+            has room for more rounds than it may take: the rest are zero.
+        """
+        import drjit as dr
+
+        mi = mitsuba()
+        lanes = 1 if self.lanes == "scalar" else self.width
+        # Every round but the last has a leaf.
+        room = np.maximum.reduceat(leaves, np.arange(0, self.count, lanes)).astype(np.int64) + 1
+        start = np.cumsum(room) - room
+        longest = [dr.zeros(mi.UInt32, int(room.sum())) for _ in range(2)]
+        place = np.repeat(start.astype(np.uint32), self.width)[: dr.width(self._o)]
+        self._launch_binary(records, True, (mi.UInt32(place), *longest))
+        dr.eval(longest)
+        return start.astype(np.int32), np.stack([np.array(column) for column in longest], axis=1)
 
 
 @functools.lru_cache(maxsize=2)
@@ -289,9 +328,10 @@ def trace(
     rays : RaySet
     lanes : "simd" or "scalar"
         Whether all lanes of a packet carry rays, or one does (the paper's scalar figures).
-    style : "single" or "wide"
-        The binary tree in one loop, as the study uses it; or the fastest kernel, on the tree
-        collapsed to eight children per node.
+    style : "single", "while-while", "postponed" or "wide"
+        The binary tree in one loop, as the study uses it; in rounds of descending and testing
+        leaves, without and with a leaf put aside (the speculative kernel of Aila and Laine 2009);
+        or the fastest kernel, on the tree collapsed to eight children per node.
     cull : bool
         Re-test popped nodes against the current hit. The paper's kernel does not, the wide
         style cannot.
@@ -328,5 +368,5 @@ def trace(
     return Hits(
         (t / tracer.unit).astype(np.float32), triangle.view(np.int32),
         inner, leaves, tests, inner + tests, seconds,
-        lanes, tracer.width, tracer.issued(inner, tests), style,
+        lanes, tracer.width, tracer.issued(records, inner, leaves, tests), style,
     )  # fmt: skip
