@@ -1,4 +1,5 @@
 import json
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -85,6 +86,23 @@ def test_a_damaged_piece_is_made_anew(finished, cornell):
     for name in ("sah", "epo", "lcv", "counted_cost"):
         assert again.table[name].tolist() == study.table[name].tolist()
     assert mibvh.Tree.load(tree).validate() == []
+
+
+def test_a_folder_that_held_other_studies(tmp_path, monkeypatch):
+    choices = {"builders": ("bbvh", "lbvh"), **CHOICES}
+    mibvh.study([soup(40)], tmp_path, **choices)
+    mibvh.study([soup(50)], tmp_path, **choices)
+    assert [r["scene"] for r in read_study(tmp_path).scenes] == ["soup50"]
+    monkeypatch.setattr("mibvh.studies.run._FORMAT", 0)
+    with pytest.raises(mibvh.MibvhError, match="made by another version of mibvh"):
+        read_study(tmp_path)
+
+
+def test_a_damaged_scene_is_named(tmp_path, finished):
+    shutil.copytree(finished[0].folder / "cache", tmp_path / "cache")
+    (tmp_path / "cache" / f"scene-{finished[0].scenes[0]['scene']}.json").write_text("{")
+    with pytest.raises(mibvh.MibvhError, match="run it again to mend it"):
+        read_study(tmp_path)
 
 
 def test_impossible_studies(tmp_path, cornell):

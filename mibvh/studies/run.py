@@ -33,6 +33,10 @@ if TYPE_CHECKING:
 Progress = Callable[[str, str, float], None]
 
 _KEPT = "scene-"
+#: Names of the scenes that the study has finished, in order.
+_FINISHED = "study"
+#: What a scene's record holds; to be raised with every change of its fields.
+_FORMAT = 4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -143,6 +147,7 @@ def study(
             scene = load(source)
             _check_new(scene.name, taken)
             records.append(study_scene(scene, options, store, progress))
+            _note_finished(store, records)
     else:
         from mibvh.studies.cluster import study_on_cluster
 
@@ -150,8 +155,14 @@ def study(
             _check_new(record["scene"], taken)
             store.write(_KEPT + record["scene"], record)
             records.append(record)
+            _note_finished(store, records)
     write_outputs(Path(folder), records)
     return Study(Path(folder), records, records[-1]["environment"])
+
+
+def _note_finished(store: Store, records: list[dict[str, Any]]) -> None:
+    """Note which scenes are this study's: the folder may hold those of others before it."""
+    store.write(_FINISHED, {"scenes": [record["scene"] for record in records], "format": _FORMAT})
 
 
 def _check_new(name: str, taken: set[str]) -> None:
@@ -277,12 +288,19 @@ def read_study(folder: str | os.PathLike[str]) -> Study:
     Raises
     ------
     MibvhError
-        If there is no finished scene in it.
+        If there is no finished scene in it, or another version of mibvh or damage left it
+        unreadable.
     """
     cache = Path(folder) / "cache"
     store = Store(cache) if cache.is_dir() else None
-    paths = sorted(cache.glob(f"{_KEPT}*.json"), key=lambda p: p.stat().st_mtime) if store else []
-    records = [record for path in paths if store and (record := store.read(path.stem))]
-    if not records:
+    finished = store.read(_FINISHED) if store else None
+    if store is None or finished is None:
         raise MibvhError(f"{folder}: there is no finished scene of a study in this folder")
+    if finished["format"] != _FORMAT:
+        raise MibvhError(
+            f"{folder}: this study was made by another version of mibvh; run it again with this one"
+        )
+    records = [record for name in finished["scenes"] if (record := store.read(_KEPT + name))]
+    if len(records) < len(finished["scenes"]):
+        raise MibvhError(f"{folder}: a scene of this study is damaged; run it again to mend it")
     return Study(Path(folder), records, records[-1]["environment"])
