@@ -1,14 +1,15 @@
-"""The kernel beside Mitsuba's own intersection (Embree): the same rays, interleaved, kernel times.
+"""The kernels beside Mitsuba's own intersection (Embree): the same rays, interleaved, kernel times.
 
-python benchmarks/traversal.py [SCENE ...] [--builder sbvh] [--rounds 9] [-o TABLE.md]
+python benchmarks/traversal.py [SCENE ...] [--style single,wide] [--builder sbvh] [-o TABLES.md]
 """
 
 from __future__ import annotations
 
 import argparse
 import datetime
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -27,8 +28,16 @@ def embree_seconds(scene: Any, ray: Any) -> float:
         return sum(k["execution_time"] for k in dr.kernel_history([dr.KernelType.JIT])) / 1e3
 
 
-def row(source: str, builder: str, rounds: int) -> tuple[str, float]:
-    """Measure one scene; returns a row of the table and the ratio of speeds."""
+def different(hits: Any, theirs: Any, diagonal: float) -> int:
+    """Rays whose hits are not at the same distance, or that only one of the two hits."""
+    both = np.isfinite(theirs) & np.isfinite(hits)
+    differ = np.isinf(theirs) != np.isinf(hits)
+    differ[both] |= np.abs(theirs[both] - hits[both]) > 1e-3 * theirs[both] + 1e-6 * diagonal
+    return int(differ.sum())
+
+
+def measure(source: str, styles: list[str], builder: str, rounds: int) -> dict[str, Any]:
+    """Measure one scene in all styles."""
     import mibvh
     from mibvh.traversal.records import make_records, unit_scale
     from mibvh.traversal.trace import Tracer
@@ -36,59 +45,102 @@ def row(source: str, builder: str, rounds: int) -> tuple[str, float]:
 
     mi = mitsuba()
     scene = mibvh.load(source)
-    rays = mibvh.diffuse_rays(scene)
-    tree = mibvh.build(scene.triangles, builder)
-    records = make_records(tree, scene.triangles)
-    tracer = Tracer(rays, float(unit_scale(scene.triangles)))
-    hits = mibvh.trace(tree, scene.triangles, rays, repeats=1)
+    triangles, rays = scene.triangles, mibvh.diffuse_rays(scene)
+    tree = mibvh.build(triangles, builder)
     ray = mi.Ray3f(mi.Point3f(rays.o.T), mi.Vector3f(rays.d.T))
-    theirs = scene.geometry.ray_intersect_preliminary(ray, coherent=False)
-    t = np.array(theirs.t)
-    both = np.isfinite(t) & np.isfinite(hits.t)
-    differ = np.isinf(t) != np.isinf(hits.t)
-    differ[both] |= (
-        np.abs(t[both] - hits.t[both]) > 1e-3 * t[both] + 1e-6 * scene.triangles.diagonal
-    )
+    t = np.array(scene.geometry.ray_intersect_preliminary(ray, coherent=False).t)
+    hits = {style: mibvh.trace(tree, triangles, rays, style=style, repeats=1) for style in styles}
+    tracers = [Tracer(rays, float(unit_scale(triangles)), style=style) for style in styles]
+    layouts = {tracer.layout for tracer in tracers}
+    records = {layout: make_records(tree, triangles, layout) for layout in layouts}
     times = np.array(
-        [(tracer.run(records)[1], embree_seconds(scene, ray)) for _ in range(rounds + 1)]
-    )[1:]
-    ours, embree = len(rays) / np.median(times, axis=0) / 1e6
-    ratio = np.median(times[:, 1] / times[:, 0])
-    return (
-        f"| {scene.name} | {len(scene.triangles):,} | {len(rays):,} | {ours:.2f} | {embree:.2f} "
-        f"| {ratio:.2f} | {hits.lane_utilisation:.2f} | {hits.inner.mean():.1f} "
-        f"| {hits.tests.mean():.1f} | {int(differ.sum())} |"
-    ), ratio
+        [
+            [tracer.run(records[tracer.layout])[1] for tracer in tracers]
+            + [embree_seconds(scene, ray)]
+            for _ in range(rounds + 1)
+        ]
+    )[1:]  # the first round warms up
+    return {
+        "scene": scene.name,
+        "triangles": len(triangles),
+        "rays": len(rays),
+        "hits": hits,
+        "mrays": len(rays) / np.median(times, axis=0) / 1e6,
+        "ratio": np.median(times[:, -1:] / times[:, :-1], axis=0),
+        "different": max(different(h.t, t, triangles.diagonal) for h in hits.values()),
+    }
+
+
+def table(
+    found: list[dict[str, Any]], columns: list[str], cells: Callable[[dict[str, Any]], list[str]]
+) -> list[str]:
+    """Lines of a Markdown table with a row per scene."""
+    lines = ["", f"| scene | {' | '.join(columns)} |", "|---|" + "---:|" * len(columns)]
+    return lines + [f"| {scene['scene']} | {' | '.join(cells(scene))} |" for scene in found]
+
+
+def tables(found: list[dict[str, Any]], styles: list[str]) -> list[str]:
+    """All tables: speed, and what explains it."""
+    means = np.exp(np.log([scene["ratio"] for scene in found]).mean(axis=0))
+    return [
+        "",
+        "Speed as a share of Embree's:",
+        *table(
+            found,
+            ["triangles", "rays", "Embree Mrays/s", *styles, "different hits"],
+            lambda s: [
+                f"{s['triangles']:,}", f"{s['rays']:,}", f"{s['mrays'][-1]:.2f}",
+                *(f"{ratio:.2f}" for ratio in s["ratio"]), str(s["different"]),
+            ],
+        ),
+        f"| geometric mean | | | | {' | '.join(f'{mean:.2f}' for mean in means)} | |",
+        "",
+        "Million rays per second:",
+        *table(found, styles, lambda s: [f"{speed:.2f}" for speed in s["mrays"][:-1]]),
+        "",
+        "Share of the issued lane-steps in which the lane had work:",
+        *table(
+            found,
+            styles,
+            lambda s: [f"{s['hits'][style].lane_utilisation:.2f}" for style in styles],
+        ),
+        "",
+        "Inner nodes and triangles per ray:",
+        *table(
+            found,
+            styles,
+            lambda s: [
+                f"{s['hits'][style].inner.mean():.1f} + {s['hits'][style].tests.mean():.1f}"
+                for style in styles
+            ],
+        ),
+    ]  # fmt: skip
 
 
 def main() -> None:
-    """Make the table."""
+    """Make the tables."""
     from mibvh.environment import environment
+    from mibvh.traversal.trace import Style
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenes", nargs="*", default=DEFAULT_SCENES)
+    parser.add_argument("--style", default=",".join(get_args(Style)), help="comma-separated")
     parser.add_argument("--builder", default="sbvh")
-    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("-o", "--output", type=Path)
     arguments = parser.parse_args()
-    here = environment()
+    styles, here, found = arguments.style.split(","), environment(), []
+    for source in arguments.scenes:
+        found.append(measure(source, styles, arguments.builder, arguments.rounds))
+        ratios = zip(styles, found[-1]["ratio"], strict=True)
+        print(found[-1]["scene"], *(f"{style} {ratio:.2f}" for style, ratio in ratios), flush=True)
     lines = [
         f"mibvh {here['mibvh']}, `{arguments.builder}` trees, {here['cpu']}, {here['threads']} "
         f"threads, LLVM {here['llvm']}, {here['lane_width']} lanes, "
-        f"{datetime.date.today().isoformat()}; medians of {arguments.rounds} interleaved rounds",
-        "",
-        "| scene | triangles | rays | mibvh Mrays/s | Embree Mrays/s | ratio | lanes busy "
-        "| inner per ray | triangles per ray | different hits |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+        f"{datetime.date.today().isoformat()}; medians of {arguments.rounds} interleaved rounds.",
+        *tables(found, styles),
     ]
-    ratios = []
-    for source in arguments.scenes:
-        line, ratio = row(source, arguments.builder, arguments.rounds)
-        lines.append(line)
-        ratios.append(ratio)
-        print(line, flush=True)
-    lines += ["", f"Geometric mean of the ratios: {np.exp(np.mean(np.log(ratios))):.2f}"]
-    print(lines[-1])
+    print("", *lines, sep="\n")
     if arguments.output:
         arguments.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
