@@ -288,6 +288,9 @@ def study(
         str, typer.Option(help="of prediction, depth, rotation, sensitivity; or all")
     ] = "",
     seconds: Annotated[float | None, typer.Option(help="stopwatch budget per lane mode")] = None,
+    samples: Annotated[
+        int | None, typer.Option(help="paths per pixel; the profile's by default")
+    ] = None,
     seed: Annotated[int, typer.Option(help="of the rays")] = 0,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="of a Dask cluster to study scenes on")
@@ -306,8 +309,11 @@ def study(
     if profile not in PROFILES:
         raise MibvhError(f"--profile is one of {', '.join(PROFILES)}, not {profile!r}")
     choices = {**PROFILES[profile], "seed": seed}
-    if seconds is not None:
-        choices["seconds"] = seconds
+    choices |= {
+        name: value
+        for name, value in (("seconds", seconds), ("samples", samples))
+        if value is not None
+    }
     named = _names(builders)
     if experiments:
         asked = _names(experiments)
