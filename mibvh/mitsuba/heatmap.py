@@ -120,10 +120,12 @@ def _draw(
     """One map with its colour scale; around zero if there is no top value."""
     import matplotlib as mpl
 
+    from mibvh.plot.marks import SEQUENTIAL
+
     known = np.abs(values[np.isfinite(values)])
     reach = max(float(np.percentile(known, 99.5)) if len(known) else 0.0, 1e-6)
     low, high = (-reach, reach) if top is None else (0.0, max(top, 1e-6))
-    colours = mpl.colormaps["RdBu_r" if top is None else "viridis"].with_extremes(bad=_NOTHING)
+    colours = mpl.colormaps["RdBu_r" if top is None else SEQUENTIAL].with_extremes(bad=_NOTHING)
     image = panel.imshow(values, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
     mean = float(np.nanmean(values)) if len(known) else 0.0
     sign = "+" if top is None else ""
