@@ -240,26 +240,6 @@ def test_annealing_is_seeded():
     assert first.report["end_sah"] < draft_of(triangles, "hill", start="lbvh").report["end_sah"]
 
 
-@pytest.mark.parametrize("name", ["hill", "anneal"])
-@pytest.mark.parametrize(
-    "corners",
-    [
-        np.zeros((1, 3, 3)),
-        np.zeros((9, 3, 3)),
-        np.tile(np.eye(3), (33, 1, 1)),
-        soup(50).corners * [1, 1, 0],
-        soup(50).corners * 1e-20,
-        soup(50).corners * 1e14,
-    ],
-    ids=["single", "point", "copies", "flat", "tiny", "huge"],
-)
-def test_degenerate_scenes(name, corners):
-    triangles = mibvh.Triangles(corners, "degenerate")
-    options = {"sweeps": 20} if name == "anneal" else {}
-    tree = mibvh.build(triangles, name, **options)
-    assert tree.validate(triangles) == []
-
-
 def test_a_start_as_deep_as_it_is_long():
     triangles = soup(3000, seed=9)
     nested = 0

@@ -331,24 +331,6 @@ def test_progress_is_told_and_rises():
     assert 0.0 < told[0] <= told[-1] == 1.0
 
 
-@pytest.mark.parametrize("name", ["treelet", "streelet"])
-@pytest.mark.parametrize(
-    "corners",
-    [
-        np.zeros((1, 3, 3)),
-        np.zeros((9, 3, 3)),
-        np.tile(np.eye(3), (33, 1, 1)),
-        soup(50).corners * [1, 1, 0],
-        soup(50).corners * 1e-20,
-        soup(50).corners * 1e14,
-    ],
-    ids=["single", "point", "copies", "flat", "tiny", "huge"],
-)
-def test_degenerate_scenes(name, corners):
-    triangles = mibvh.Triangles(corners, "degenerate")
-    assert mibvh.build(triangles, name).validate(triangles) == []
-
-
 def test_impossible_options_are_refused():
     for options in ({"size": 9}, {"size": 3}, {"rounds": -1}, {"start": "nothing"}):
         with pytest.raises(MibvhError):
