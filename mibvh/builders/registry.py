@@ -23,7 +23,21 @@ from mibvh.version import __version__
 
 
 def option(default: Any, help: str, low: float | None = None, high: float | None = None) -> Any:
-    """Declare a builder option: its default, its consequence, and its closed range."""
+    """Declare a builder option.
+
+    Parameters
+    ----------
+    default : bool, int, float or str
+        Values must be of its type.
+    help : str
+        What it does.
+    low, high : float, optional
+        Ends of the range, allowed themselves; both or none.
+
+    Returns
+    -------
+    dataclasses.Field
+    """
     return dataclasses.field(default=default, metadata={"help": help, "low": low, "high": high})
 
 
@@ -148,6 +162,23 @@ def builder(
     name: str, *, summary: str = "", source: str = "", options: type[Options] = Options
 ) -> Callable[[BuildFunction], BuildFunction]:
     """Register a builder; the study and the command line take it like the paper's own.
+
+    Parameters
+    ----------
+    name : str
+        What it is called; a name that is taken gets the new builder.
+    summary, source : str
+        One line on what it does, and the paper it comes from.
+    options : type
+        A frozen, keyword-only dataclass that inherits from :class:`Options`, each field from
+        :func:`option`.
+
+    Returns
+    -------
+    callable
+        Decorator of ``function(triangles, options, context)``, which returns nested pairs of
+        triangle ids (:meth:`Draft.from_nested`), or a :class:`Draft` where it splits triangles
+        (:class:`References`) or goes on from another builder's (:meth:`Context.start`).
 
     Examples
     --------

@@ -308,6 +308,11 @@ def overlap(
     Returns
     -------
     OverlapResult
+
+    Raises
+    ------
+    MibvhError
+        If the tree was built for another geometry, or a weight is missing or negative.
     """
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)

@@ -356,6 +356,11 @@ def epo_at_ends(tree: Tree, triangles: Any, ends: RayEnds) -> Estimate:
     -------
     Estimate
         Mean over the ends; multiply by ``ends.share`` for the cost per ray.
+
+    Raises
+    ------
+    MibvhError
+        If there are fewer than two ends, or the tree was built for another geometry.
     """
     if len(ends) < 2:
         raise MibvhError(f"there are {len(ends)} ray ends, too few to average over")

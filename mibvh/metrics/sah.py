@@ -35,6 +35,12 @@ def node_costs(tree: Tree, c_inner: float | None = None, c_tri: float | None = N
 def sah_per_node(tree: Tree, c_inner: float | None = None, c_tri: float | None = None) -> F64:
     """Each node's share of the SAH: ``C_n A_n / A_root``, root included.
 
+    Parameters
+    ----------
+    tree : Tree
+    c_inner, c_tri : float, optional
+        By default what the tree was built with, or the paper's 1.2 and 1.0.
+
     Returns
     -------
     (M,) float64
