@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import mibvh
-from mibvh.builders import build, get, names
+from mibvh.builders import Draft, build, get, names
 from mibvh.errors import MibvhError
 from mibvh.metrics.sah import sah
 from mibvh.tree import MAX_DEPTH, Tree
@@ -224,6 +224,36 @@ def test_user_builder_is_treated_like_the_others():
         assert sah(tree) > sah(build(triangles, "bbvh", max_leaf=3))
     finally:
         mibvh.builders.registry._registered.pop("test-halves")
+
+
+@pytest.mark.parametrize(
+    ("nested", "said"),
+    [
+        (([0, 1, 2], []), "ids of triangles, not"),
+        ((0, 1, 2), "a pair, not 3 parts"),
+        (([0, 1],), "a pair, not 1 parts"),
+        (([0], [1]), "one place in the tree; there are 2 places, and 1 triangles have none"),
+        (([0, 1], [1, 2]), "there are 4 places, and 0 triangles have none"),
+        (([0, 1], 3), "there are 3 places, and 1 triangles have none"),
+        (([0, 1], -1), "there are 3 places, and 1 triangles have none"),
+    ],
+    ids=["empty", "triple", "single", "lost", "twice", "beyond", "negative"],
+)
+def test_nested_pairs_that_are_no_tree_are_refused(nested, said):
+    with pytest.raises(MibvhError, match=said):
+        Draft.from_nested(nested, Triangles(room(3)))
+
+
+def test_user_builder_that_loses_triangles_is_refused():
+    @mibvh.builder("test-loser")
+    def loser(triangles, options, context):
+        return Draft.from_nested(np.arange(9), Triangles(triangles.corners[:9]))
+
+    try:
+        with pytest.raises(MibvhError, match="builder test-loser made no sound tree: "):
+            build(Triangles(room(10)), "test-loser")
+    finally:
+        mibvh.builders.registry._registered.pop("test-loser")
 
 
 def clustered() -> np.ndarray:

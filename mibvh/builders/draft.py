@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mibvh._jit import njit
+from mibvh.errors import MibvhError
 from mibvh.triangles import F32, I32, Triangles
 
 
@@ -121,6 +122,11 @@ class Draft:
             leaf collapse joins them again where that is cheaper.
         triangles : Triangles
             What the ids index.
+
+        Raises
+        ------
+        MibvhError
+            If a leaf is empty, a tuple is no pair, or not every triangle has exactly one place.
         """
         left: list[int] = [-1]
         right: list[int] = [-1]
@@ -130,10 +136,14 @@ class Draft:
             node, value = work.pop()
             if not isinstance(value, tuple):
                 ids = np.atleast_1d(np.asarray(value, dtype=np.int64))
+                if ids.ndim > 1 or len(ids) == 0:
+                    raise MibvhError(f"a leaf must be the ids of triangles, not {value!r}")
                 if len(ids) == 1:
                     reference[node] = int(ids[0])
                     continue
                 value = (ids[: len(ids) // 2], ids[len(ids) // 2 :])
+            if len(value) != 2:
+                raise MibvhError(f"an inner node must be a pair, not {len(value)} parts")
             children = [len(left), len(left) + 1]
             left[node], right[node] = children
             for child, part in zip(children, value, strict=True):
@@ -141,6 +151,13 @@ class Draft:
                 right.append(-1)
                 reference.append(-1)
                 work.append((child, part))
+        leaves = [ids for ids, child in zip(reference, left, strict=True) if child < 0]
+        if not np.array_equal(np.sort(leaves), np.arange(len(triangles))):
+            missing = len(np.setdiff1d(np.arange(len(triangles)), leaves))
+            raise MibvhError(
+                f"each of the {len(triangles)} triangles must have one place in the tree; there "
+                f"are {len(leaves)} places, and {missing} triangles have none"
+            )
         return cls(
             References.of(triangles),
             np.array(left, np.int32),

@@ -262,7 +262,8 @@ def build(
     Raises
     ------
     MibvhError
-        For an unknown builder or an impossible option.
+        For an unknown builder or an impossible option, or where a builder of the user's own made
+        no sound tree.
     """
     triangles = as_triangles(triangles)
     entry = get(builder)
@@ -294,4 +295,7 @@ def build(
         meta=meta,
     )
     meta = {**tree.meta, "build_seconds": time.perf_counter() - started}
+    # The tests see to it that the paper's builders make sound trees.
+    if builder not in _BUNDLED and (found := tree.validate(triangles)):
+        raise MibvhError(f"builder {builder} made no sound tree: {'; '.join(found)}")
     return tree.replace(meta=meta)
