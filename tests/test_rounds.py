@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from conftest import soup
-from test_traversal import brute_force, random_rays, ray_set
+from test_traversal import brute_force, children_hit, random_rays, ray_set
 
 import mibvh
 from mibvh.traversal.records import make_records, unit_scale
@@ -63,13 +63,7 @@ def reference_rounds(tree, triangles, rays, postponed):
             inner, aside, tests = 0, done, 0
             while node is not done and not is_leaf(node):
                 inner += 1
-                found = []
-                for child in (tree.left[node], tree.left[node] + 1):
-                    a, b = (tree.lower[child] - o) / d, (tree.upper[child] - o) / d
-                    near, far = max(np.minimum(a, b).max(), 0), min(np.maximum(a, b).min(), best)
-                    if near <= far:
-                        found.append((near, child))
-                found.sort(key=lambda entry: entry[0])
+                found = children_hit(tree, node, o, d, best)
                 stack += [child for _, child in found[1:]]
                 node = found[0][1] if found else pop()
                 if postponed and is_leaf(node) and aside is done:

@@ -40,6 +40,17 @@ def brute_force(triangles, rays):
     return np.where(hit, t, np.inf)
 
 
+def children_hit(tree, node, o, d, best):
+    """Children that a ray enters before ``best``, with where it does, the nearer first."""
+    found = []
+    for child in (tree.left[node], tree.left[node] + 1):
+        a, b = (tree.lower[child] - o) / d, (tree.upper[child] - o) / d
+        near, far = max(np.minimum(a, b).max(), 0), min(np.maximum(a, b).min(), best)
+        if near <= far:
+            found.append((near, child))
+    return sorted(found, key=lambda entry: entry[0])
+
+
 def reference_counts(tree, triangles, rays, cull):
     """The same walk, one ray at a time: inner nodes, leaves and triangles visited."""
     counts = np.zeros((len(rays), 3), int)
@@ -57,14 +68,7 @@ def reference_counts(tree, triangles, rays, cull):
                 node, begins = stack.pop() if stack else (None, 0.0)
                 continue
             counts[i, 0] += 1
-            found = []
-            for child in (tree.left[node], tree.left[node] + 1):
-                a, b = (tree.lower[child] - o) / d, (tree.upper[child] - o) / d
-                near, far = max(np.minimum(a, b).max(), 0), min(np.maximum(a, b).min(), best)
-                if near <= far:
-                    found.append((near, child))
-            if len(found) == 2 and found[1][0] < found[0][0]:
-                found.reverse()
+            found = children_hit(tree, node, o, d, best)
             stack += [(child, near) for near, child in found[1:]]
             if found:
                 begins, node = found[0]
