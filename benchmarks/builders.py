@@ -1,6 +1,7 @@
 """How fast the builders are, how good their trees, how much memory they take, how they scale.
 
-    python benchmarks/builders.py [SCENE ...] [--builders a,b] [--repeats 5] [-o TABLE.md]
+    python benchmarks/builders.py [SCENE ...] [--builders a,b] [--repeats 5] [--yardstick]
+                                  [-o TABLE.md]
     python benchmarks/builders.py --scaling SCENE SIZES [--plot FIGURE.png] [-o TABLE.md]
 
 SCENE is whatever `mibvh build` takes, or an .npy file of (N, 3, 3) triangles; for --scaling the
@@ -9,6 +10,10 @@ and builder gets a process of its own, so that its peak memory is known. Build t
 compiled code, medians over the repeats (none begins after the first minute): with one thread and
 with all of them, or with all of them alone for --scaling. With --keep DIR every measurement is
 kept, and those already there are taken over, so that a run that was killed goes on.
+
+Seconds of a shared machine change from hour to hour. With --yardstick, every build takes turns
+with one of Mitsuba's own scene over the same triangles, on as many threads (Embree 3, high
+quality: eight-wide, with spatial splits), and the table has the ratio of the two medians.
 """
 
 from __future__ import annotations
@@ -20,6 +25,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -48,10 +54,39 @@ def save_corners(scene: str, path: str) -> None:
     np.save(path, corners)
 
 
-def measure(path: str, name: str, repeats: int, threads: list[int]) -> dict[str, Any]:
-    """Build the triangles of an .npy file with one builder."""
+def _peak() -> float:
     import resource
 
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+
+
+def embree_scene(corners: Any) -> Callable[[int], float]:
+    """Return what builds Mitsuba's scene over triangles on so many threads, in seconds."""
+    import drjit as dr
+    import numpy as np
+
+    from mibvh.variant import mitsuba
+
+    mi = mitsuba()
+    mesh = mi.Mesh("mesh", vertex_count=3 * len(corners), face_count=len(corners))
+    values = mi.traverse(mesh)
+    values["vertex_positions"] = mi.Float(np.ascontiguousarray(corners).reshape(-1))
+    values["faces"] = mi.UInt32(np.arange(3 * len(corners), dtype=np.uint32))
+    values.update()
+
+    def build(threads: int) -> float:
+        dr.set_thread_count(threads)
+        started = time.perf_counter()
+        mi.load_dict({"type": "scene", "mesh": mesh})
+        return time.perf_counter() - started
+
+    return build
+
+
+def measure(
+    path: str, name: str, repeats: int, threads: list[int], yardstick: bool
+) -> dict[str, Any]:
+    """Build the triangles of an .npy file with one builder."""
     import numba
     import numpy as np
 
@@ -60,28 +95,35 @@ def measure(path: str, name: str, repeats: int, threads: list[int]) -> dict[str,
     triangles = mibvh.Triangles(np.load(path, mmap_mode="r"))
     assert triangles.digest  # hashed once, before the clock runs
     mibvh.build(np.random.default_rng(0).random((64, 3, 3)), name)  # compiled, too
-    empty = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    seconds = {}
+    empty = _peak()
+    seconds, beside, embree = {}, {}, None
     for count in threads:
         numba.set_num_threads(count)
-        times, started = [], time.perf_counter()
+        times, peers, started = [], [], time.perf_counter()
         while len(times) < repeats and time.perf_counter() - started < _ENOUGH:
             tree = mibvh.build(triangles, name)
             times.append(tree.meta["build_seconds"])
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            if embree is None:  # which takes memory, too
+                peak = _peak()
             if len(times) < repeats:
                 del tree  # or the next would be built beside it
+            if yardstick:
+                embree = embree or embree_scene(triangles.corners)
+                peers.append(embree(count))
         seconds[str(count)] = float(np.median(times))
+        if yardstick:
+            beside[str(count)] = float(np.median(peers))
     report = tree.meta["report"]
     return {
         "triangles": len(triangles),
         "seconds": seconds,
+        "embree_seconds": beside,
         "sah": mibvh.sah(tree),
         "references": len(tree.references),
         "depth": tree.depth,
         "iterations": report.get("iterations"),
-        "gigabytes_before": empty / 2**20,
-        "gigabytes": peak / 2**20,
+        "gigabytes_before": empty,
+        "gigabytes": peak,
     }
 
 
@@ -98,7 +140,12 @@ def _child(*arguments: str) -> str:
 
 
 def measurements(
-    scenes: list[str], builders: list[str], repeats: int, threads: list[int], keep: Path
+    scenes: list[str],
+    builders: list[str],
+    repeats: int,
+    threads: list[int],
+    yardstick: bool,
+    keep: Path,
 ) -> list[dict[str, Any]]:
     """Measure every scene with every builder, but for what is kept already."""
     from mibvh.files import write_text
@@ -112,12 +159,14 @@ def measurements(
                 label = Path(scene).resolve().parent.name
             corners = Path(scene) if scene.endswith(".npy") else Path(folder, f"{label}.npy")
             for name in builders:
-                record = keep / f"{label}-{name}-{'-'.join(map(str, threads))}.json"
+                beside = "-embree" if yardstick else ""
+                record = keep / f"{label}-{name}-{'-'.join(map(str, threads))}{beside}.json"
                 if not record.exists():
                     if not corners.exists():
                         _child("--corners", scene, str(corners))
                     given = [str(corners), name, str(repeats), *map(str, threads)]
-                    figures = json.loads(_child("--measure", *given))
+                    also = ["--yardstick"] if yardstick else []
+                    figures = json.loads(_child("--measure", *given, *also))
                     about = {"scene": label, "builder": name, **_machine()}
                     write_text(record, json.dumps({**about, **figures}, indent=1) + "\n")
                 found.append(json.loads(record.read_text(encoding="utf-8")))
@@ -154,11 +203,13 @@ def _heading(found: list[dict[str, Any]], repeats: int) -> list[str]:
 def table(found: list[dict[str, Any]], repeats: int) -> list[str]:
     """Lay the measurements out as a table: on one thread and on all."""
     most = max(int(count) for r in found for count in r["seconds"])
+    yardstick = any(r["embree_seconds"] for r in found)
     lines = [
         *_heading(found, repeats),
         f"| scene | triangles | builder | seconds, 1 thread | {most} threads | speed-up "
-        "| M triangles/s, 1 thread | all | SAH | references | depth | peak GB |",
-        "|---|---:|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| M triangles/s, 1 thread | all | SAH | references | depth | peak GB |"
+        + (f" of Embree's time, 1 thread | {most} threads |" if yardstick else ""),
+        "|---|---:|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|" + yardstick * "---:|---:|",
     ]
     for r in found:
         one, every = r["seconds"]["1"], r["seconds"][str(most)]
@@ -168,6 +219,9 @@ def table(found: list[dict[str, Any]], repeats: int) -> list[str]:
             f"| {r['triangles'] / every / 1e6:.3g} | {r['sah']:.2f} "
             f"| {r['references'] / r['triangles']:.3f} | {r['depth']} | {r['gigabytes']:.2f} |"
         )
+        if yardstick:
+            shares = [r["seconds"][t] / r["embree_seconds"][t] for t in ("1", str(most))]
+            lines[-1] += "".join(f" {share:.2f} |" for share in shares)
     return lines
 
 
@@ -237,6 +291,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", default=DEFAULT_SCENES)
     parser.add_argument("--builders", default="", help="all of them by default")
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--yardstick", action="store_true", help="beside Mitsuba's own scene")
     parser.add_argument("--scaling", nargs=2, metavar=("SCENE", "SIZES"))
     parser.add_argument("--plot", type=Path, help="where the figure of --scaling goes (PNG)")
     parser.add_argument("--keep", type=Path, help="folder of the measurements")
@@ -249,7 +304,8 @@ def main() -> None:
         return
     if arguments.measure:
         path, name, repeats, *threads = arguments.measure
-        print(json.dumps(measure(path, name, int(repeats), [int(count) for count in threads])))
+        counts = [int(count) for count in threads]
+        print(json.dumps(measure(path, name, int(repeats), counts, arguments.yardstick)))
         return
     import numba
 
@@ -262,7 +318,9 @@ def main() -> None:
         scenes, threads = [f"{scene}@{size}" for size in sizes.split(",")], threads[-1:]
     with tempfile.TemporaryDirectory() as folder:
         keep = arguments.keep or Path(folder)
-        found = measurements(scenes, builders, arguments.repeats, threads, keep)
+        found = measurements(
+            scenes, builders, arguments.repeats, threads, arguments.yardstick, keep
+        )
     if arguments.scaling:
         for r in found:
             r["order"] = builders.index(r["builder"])
