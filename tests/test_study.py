@@ -64,7 +64,7 @@ def test_progress_ends_at_one(finished):
 def test_again_recomputes_nothing_and_report_remakes(finished, cornell, monkeypatch):
     study = finished[0]
     before = {p: p.stat().st_mtime_ns for p in (study.folder / "cache").glob("t*")}
-    for name in ("pieces.build", "pieces.measure", "run.diffuse_rays", "pieces.trace",
+    for name in ("pieces.build", "pieces.measure", "run.diffuse_rays", "pieces.Tracer",
                  "pieces.overlap"):  # fmt: skip
         monkeypatch.setattr(f"mibvh.studies.{name}", lambda *_, name=name, **__: pytest.fail(name))
     again = mibvh.study([cornell], study.folder, builders=("bbvh", "lbvh", "treewise"), **CHOICES)

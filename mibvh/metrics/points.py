@@ -298,18 +298,24 @@ def ray_ends(triangles: Any, rays: Any, hits: Any) -> tuple[RayEnds, RayEnds]:
     starts, ends : RayEnds
         Ends of the rays that hit something.
     """
-    triangles = as_triangles(triangles)
+    return ray_starts(triangles, rays), ray_hits(triangles, rays, hits)
+
+
+def ray_starts(triangles: Any, rays: Any) -> RayEnds:
+    """Where the rays of a set begin, as far as they leave triangles; see :func:`ray_ends`."""
     left_from = np.flatnonzero(rays.source >= 0)
+    return _ray_ends(triangles, rays.o[left_from], rays.source[left_from], len(rays))
+
+
+def ray_hits(triangles: Any, rays: Any, hits: Any) -> RayEnds:
+    """Where those rays of a set end that hit something; see :func:`ray_ends`."""
     hit = np.flatnonzero(hits.triangle >= 0)
     at = rays.o[hit].astype(np.float64) + rays.d[hit].astype(np.float64) * hits.t[hit, None]
-    starts, ends = rays.source[left_from], hits.triangle[hit]
-    return (
-        _ray_ends(on_surface(triangles, rays.o[left_from], starts), starts, len(rays)),
-        _ray_ends(on_surface(triangles, at, ends), ends, len(rays)),
-    )
+    return _ray_ends(triangles, at, hits.triangle[hit], len(rays))
 
 
-def _ray_ends(points: F64, ids: I32, rays: int) -> RayEnds:
+def _ray_ends(triangles: Any, near: Any, ids: I32, rays: int) -> RayEnds:
+    points = on_surface(as_triangles(triangles), near, ids)
     return RayEnds(points, np.ascontiguousarray(ids, np.int32), rays)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -10,8 +11,8 @@ import numpy as np
 
 from mibvh.builders import build, get
 from mibvh.metrics.epo import overlap
-from mibvh.metrics.lines import line_costs, ray_lines
-from mibvh.metrics.points import point_costs, ray_ends
+from mibvh.metrics.lines import RayLines, line_costs, ray_lines
+from mibvh.metrics.points import RayEnds, point_costs, ray_hits, ray_starts
 from mibvh.metrics.predictor import path_length_ratio
 from mibvh.metrics.sah import node_costs, sah, sah_per_node
 from mibvh.rays import RaySet
@@ -20,7 +21,7 @@ from mibvh.studies.options import StudyOptions
 from mibvh.studies.stopwatch import measure
 from mibvh.studies.store import Store, key_of
 from mibvh.traversal.records import Records, make_records, unit_scale
-from mibvh.traversal.trace import Tracer, trace
+from mibvh.traversal.trace import Hits, Tracer
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles
 from mibvh.variant import mitsuba
@@ -34,9 +35,8 @@ _LINES = 10_000
 def study_tree(
     name: str,
     scene: Scene,
-    rays: RaySet,
+    counter: RayCounter,
     rays_key: str,
-    options: StudyOptions,
     store: Store,
     report: Callable[[str, float], None],
 ) -> tuple[str, Tree, dict[str, Any]]:
@@ -47,9 +47,8 @@ def study_tree(
     report("metrics", 0.5)
     row = kept(store, f"metrics-{key}", functools.partial(tree_metrics, tree, scene))
     report("count", 0.8)
-    counts_key = key_of(tree=key, rays=rays_key, cull=options.cull, lines=_LINES, format=3)
-    make = functools.partial(ray_counts, tree, scene, rays, options)
-    counts = kept(store, f"counts-{counts_key}", make)
+    counts_key = key_of(tree=key, rays=rays_key, cull=counter.cull, lines=_LINES, format=3)
+    counts = kept(store, f"counts-{counts_key}", functools.partial(counter, tree))
     return key, tree, {"builder": name, **row, **counts}
 
 
@@ -112,38 +111,109 @@ def tree_metrics(tree: Tree, scene: Scene) -> dict[str, Any]:
     }
 
 
-def ray_counts(tree: Tree, scene: Scene, rays: RaySet, options: StudyOptions) -> dict[str, Any]:
-    """Counters of the rays through a tree, its point queries at their ends, and their lines."""
-    hits = trace(tree, scene.triangles, rays, "simd", cull=options.cull, repeats=1)
-    summary = hits.summary()
-    kept = ("hits", "inner_per_ray", "leaves_per_ray", "triangles_per_ray", "lcv",
-            "inner_deviation", "steps_deviation", "lane_utilisation")  # fmt: skip
-    c_inner, c_tri = tree.meta["c_inner"], tree.meta["c_tri"]
-    costs = c_inner * hits.inner + c_tri * hits.tests
-    group = np.arange(len(rays)) % _RAY_GROUPS
-    sums = np.bincount(group, costs, _RAY_GROUPS)
-    starts, ends = ray_ends(scene.triangles, rays, hits)
-    at_starts = point_costs(tree, scene.triangles, starts.points, starts.triangle)
-    at_ends = point_costs(tree, scene.triangles, ends.points, ends.triangle)
-    lines = ray_lines(scene.triangles, rays, hits, _LINES)
-    of_lines = sah(tree, ray_lines=lines)
-    return {
-        **{name: summary[name] for name in kept},
-        "counted_cost": hits.counted_cost(c_inner, c_tri),
-        "cost_groups": (sums / np.maximum(np.bincount(group, minlength=_RAY_GROUPS), 1)).tolist(),
-        "costs_by_origin": costs_by_origin(rays, costs),
-        "leaf_distribution": np.bincount(hits.leaves).tolist(),
-        "epo_starts": float(at_starts[:, 0].mean()),
-        "epo_starts_error": _standard_error(at_starts[:, 0]),
-        "epo_ends": float(at_ends[:, 0].mean()) if len(ends) else 0.0,
-        "point_query": float(at_starts.sum(axis=1).mean()),
-        "sah_lines": of_lines.value,
-        "sah_lines_error": of_lines.standard_error,
-        "line_share": float(lines.share.mean()),
-        "touched": float(line_costs(tree, lines, whole=False).mean()),
-        "hit_share": ends.share,
-        "length_ratio": path_length_ratio(scene.triangles, rays, hits),
-    }
+class RayCounter:
+    """The rays of a scene, to be counted in any number of its trees.
+
+    What does not depend on the tree is prepared when it is first needed, and kept: a study that
+    goes on from what it has kept needs none of it.
+
+    Parameters
+    ----------
+    scene : Scene
+    rays : RaySet
+    cull : bool
+        Re-test popped nodes.
+    """
+
+    def __init__(self, scene: Scene, rays: RaySet, cull: bool) -> None:
+        self.triangles, self.rays, self.cull = scene.triangles, rays, cull
+        self._paths: RayPaths | None = None
+
+    @functools.cached_property
+    def tracer(self) -> Tracer:
+        """The rays in Dr.Jit's memory."""
+        return Tracer(self.rays, float(unit_scale(self.triangles)), cull=self.cull)
+
+    @functools.cached_property
+    def starts(self) -> RayEnds:
+        """Where the rays begin."""
+        return ray_starts(self.triangles, self.rays)
+
+    def paths(self, hits: Hits) -> RayPaths:
+        """Where the rays go, made anew only where a tree's hits are not those of the last.
+
+        Trees agree on hits but for ties: rays that meet two triangles at one distance.
+        """
+        if self._paths is None or not self._paths.are_of(hits):
+            self._paths = RayPaths.of(self.triangles, self.rays, hits)
+        return self._paths
+
+    def __call__(self, tree: Tree) -> dict[str, Any]:
+        """Count the rays in a tree, its point queries at their ends, and their lines."""
+        hits = self.tracer.hits(make_records(tree, self.triangles))
+        c_inner, c_tri = tree.meta["c_inner"], tree.meta["c_tri"]
+        costs = c_inner * hits.inner + c_tri * hits.tests
+        group = np.arange(len(self.rays)) % _RAY_GROUPS
+        sums = np.bincount(group, costs, _RAY_GROUPS)
+        counted = np.maximum(np.bincount(group, minlength=_RAY_GROUPS), 1)
+        paths, starts = self.paths(hits), self.starts
+        at_starts = point_costs(tree, self.triangles, starts.points, starts.triangle)
+        at_ends = point_costs(tree, self.triangles, paths.ends.points, paths.ends.triangle)
+        of_lines = sah(tree, ray_lines=paths.lines)
+        return {
+            **hits.counters(),
+            "counted_cost": hits.counted_cost(c_inner, c_tri),
+            "cost_groups": (sums / counted).tolist(),
+            "costs_by_origin": costs_by_origin(self.rays, costs),
+            "leaf_distribution": np.bincount(hits.leaves).tolist(),
+            "epo_starts": float(at_starts[:, 0].mean()),
+            "epo_starts_error": _standard_error(at_starts[:, 0]),
+            "epo_ends": float(at_ends[:, 0].mean()) if len(paths.ends) else 0.0,
+            "point_query": float(at_starts.sum(axis=1).mean()),
+            "sah_lines": of_lines.value,
+            "sah_lines_error": of_lines.standard_error,
+            "line_share": float(paths.lines.share.mean()),
+            "touched": float(line_costs(tree, paths.lines, whole=False).mean()),
+            "hit_share": paths.ends.share,
+            "length_ratio": paths.length_ratio,
+        }
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RayPaths:
+    """Where the rays of a set go, by the hits in some tree.
+
+    Attributes
+    ----------
+    hits : Hits
+    ends : RayEnds
+        Of those that hit something.
+    lines : RayLines
+        Of some of the rays.
+    length_ratio : float
+        See :func:`mibvh.metrics.predictor.path_length_ratio`.
+    """
+
+    hits: Hits
+    ends: RayEnds
+    lines: RayLines
+    length_ratio: float
+
+    @classmethod
+    def of(cls, triangles: Triangles, rays: RaySet, hits: Hits) -> RayPaths:
+        """Find them from the hits."""
+        return cls(
+            hits,
+            ray_hits(triangles, rays, hits),
+            ray_lines(triangles, rays, hits, _LINES),
+            path_length_ratio(triangles, rays, hits),
+        )
+
+    def are_of(self, hits: Hits) -> bool:
+        """Whether other hits lead to the same paths."""
+        return np.array_equal(self.hits.t, hits.t) and np.array_equal(
+            self.hits.triangle, hits.triangle
+        )
 
 
 def costs_by_origin(rays: RaySet, costs: np.ndarray) -> list[dict[str, Any]]:

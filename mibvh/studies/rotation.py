@@ -19,7 +19,7 @@ from mibvh.metrics.predictor import finite_ray_cost, fit_alpha, predict
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
 from mibvh.studies.options import StudyOptions
-from mibvh.studies.pieces import kept, launch, report_part, study_tree
+from mibvh.studies.pieces import RayCounter, kept, launch, report_part, study_tree
 from mibvh.studies.stopwatch import measure
 from mibvh.studies.store import Store, key_of
 from mibvh.traversal.records import make_records, unit_scale
@@ -81,12 +81,13 @@ def rotation_experiment(
     """
     there, moved = turned(scene, rays)
     moved_key = key_of(rays=rays_key, axis=AXIS, degrees=DEGREES)
+    counter = RayCounter(there, moved, options.cull)
     share = 0.6 / len(options.builders)
     found: dict[str, Tree] = {}
     rows = []
     for i, name in enumerate(options.builders):
         part = functools.partial(report_part, report, f"{name} turned", share * i, share)
-        key, tree, row = study_tree(name, there, moved, moved_key, options, store, part)
+        key, tree, row = study_tree(name, there, counter, moved_key, store, part)
         found[key] = tree
         rows.append(row)
     frames = [(scene, rays, list(trees.values())), (there, moved, list(found.values()))]

@@ -20,7 +20,7 @@ from mibvh.scene import Scene, load
 from mibvh.studies.catalogue import scenes_in, triangle_count_notes
 from mibvh.studies.depth import depth_experiment, depth_table
 from mibvh.studies.options import StudyOptions
-from mibvh.studies.pieces import cameras, kept, report_part, study_tree, times
+from mibvh.studies.pieces import RayCounter, cameras, kept, report_part, study_tree, times
 from mibvh.studies.rotation import rotation_experiment, rotation_factors
 from mibvh.studies.sensitivity import sensitivity_experiment, sensitivity_table
 from mibvh.studies.store import Store, key_of
@@ -194,12 +194,13 @@ def study_scene(
     rays_key = key_of(digest=triangles.digest, cameras=cameras(scene), **options.rays())
     part("rays", 0.0)
     rays = store.array(RaySet, rays_key, functools.partial(diffuse_rays, scene, **options.rays()))
+    counter = RayCounter(scene, rays, options.cull)
     trees: dict[str, Tree] = {}
     rows: list[dict[str, Any]] = []
     share = 0.5 / len(options.builders)
     for i, name in enumerate(options.builders):
         stage = functools.partial(report_part, part, name, 0.02 + share * i, share)
-        key, tree, row = study_tree(name, scene, rays, rays_key, options, store, stage)
+        key, tree, row = study_tree(name, scene, counter, rays_key, store, stage)
         if "depth" in options.experiments:
             piece = key_of(tree=key, format=2)
             row.update(kept(store, f"depth-{piece}", functools.partial(depth_experiment, tree)))

@@ -40,7 +40,7 @@ class Hits:
     steps : (R,) uint32
         Steps the ray's lane was busy for: inner nodes and triangles.
     seconds : (K,) float64
-        Kernel execution times of the timed launches, which carry no counters.
+        Kernel execution times of the timed launches, which carry no counters; may be empty.
     lanes : str
         ``simd``: every lane of a packet carries a ray; ``scalar``: one does.
     lane_width : int
@@ -93,19 +93,16 @@ class Hits:
         """
         return float(c_inner * self.inner.mean() + c_tri * self.tests.mean())
 
-    def summary(self) -> dict[str, Any]:
-        """Return the figures as JSON-able values."""
-        spread = np.percentile(self.seconds, [25, 75]) / len(self) * 1e9
-        return {
-            "rays": len(self),
-            "hits": int((self.triangle >= 0).sum()),
-            "lanes": self.lanes,
-            "lane_width": self.lane_width,
-            "style": self.style,
-            "ns_per_ray": self.ns_per_ray,
-            "ns_per_ray_quartiles": spread.tolist(),
-            "launches": len(self.seconds),
-            "mrays_per_second": 1e3 / self.ns_per_ray,
+    def counters(self) -> dict[str, Any]:
+        """Return what was counted, as JSON-able values.
+
+        Returns
+        -------
+        dict
+            Of the wide style, names of what counts its own tree, with eight children per node,
+            begin with ``wide_``: they are not the paper's.
+        """
+        of_tree = {
             "inner_per_ray": float(self.inner.mean()),
             "leaves_per_ray": float(self.leaves.mean()),
             "triangles_per_ray": float(self.tests.mean()),
@@ -113,7 +110,30 @@ class Hits:
             "lcv": self.lcv,
             "inner_deviation": float(np.std(self.inner, dtype=np.float64)),
             "steps_deviation": float(np.std(self.steps, dtype=np.float64)),
+        }
+        prefix = "wide_" if self.style == "wide" else ""
+        return {
+            "hits": int((self.triangle >= 0).sum()),
+            **{prefix + name: value for name, value in of_tree.items()},
             "lane_utilisation": self.lane_utilisation,
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Return the figures as JSON-able values; see :meth:`counters` for those of the wide style.
+
+        Needs at least one timed launch.
+        """
+        spread = np.percentile(self.seconds, [25, 75]) / len(self) * 1e9
+        return {
+            "rays": len(self),
+            "lanes": self.lanes,
+            "lane_width": self.lane_width,
+            "style": self.style,
+            "ns_per_ray": self.ns_per_ray,
+            "ns_per_ray_quartiles": spread.tolist(),
+            "launches": len(self.seconds),
+            "mrays_per_second": 1e3 / self.ns_per_ray,
+            **self.counters(),
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -231,6 +251,30 @@ class Tracer:
             dr.sync_thread()
             history = dr.kernel_history([dr.KernelType.JIT])
         return outputs, sum(kernel["execution_time"] for kernel in history) / 1e3
+
+    def hits(self, records: Records, repeats: int = 0) -> Hits:
+        """Launch once with counters, and, if asked for, so many times more to be timed.
+
+        Parameters
+        ----------
+        records : Records
+        repeats : int
+            Timed launches, after one that is not counted.
+
+        Returns
+        -------
+        Hits
+        """
+        outputs, _ = self.run(records, count=True)
+        if repeats:
+            self.run(records)  # the first launch may compile
+        seconds = np.array([self.run(records)[1] for _ in range(repeats)])
+        t, triangle, inner, leaves, tests = (self.fetch(column) for column in outputs)
+        return Hits(
+            (t / self.unit).astype(np.float32), triangle.view(np.int32),
+            inner, leaves, tests, inner + tests, seconds,
+            self.lanes, self.width, self.issued(records, inner, leaves, tests), self.style,
+        )  # fmt: skip
 
     def _launch_binary(self, records: Records, count: bool, longest: Any = None) -> tuple[Any, ...]:
         import drjit as dr
@@ -368,12 +412,4 @@ def trace(
     scale = float(unit_scale(triangles))
     tracer = Tracer(rays, scale, lanes, style=style, cull=cull, any_hit=any_hit)
     records = _cached_records(tree, triangles, tracer.layout, mitsuba().variant())
-    outputs, _ = tracer.run(records, count=True)
-    tracer.run(records)  # the first launch may compile
-    seconds = np.array([tracer.run(records)[1] for _ in range(repeats)])
-    t, triangle, inner, leaves, tests = (tracer.fetch(column) for column in outputs)
-    return Hits(
-        (t / tracer.unit).astype(np.float32), triangle.view(np.int32),
-        inner, leaves, tests, inner + tests, seconds,
-        lanes, tracer.width, tracer.issued(records, inner, leaves, tests), style,
-    )  # fmt: skip
+    return tracer.hits(records, repeats)
