@@ -55,6 +55,29 @@ def test_the_whole_path(cli, tmp_path):
             assert int((kept["triangle"] >= 0).sum()) == traced["hits"]
             assert kept["leaves"].astype(float).std() == pytest.approx(traced["lcv"])
             assert np.isinf(kept["t"][kept["triangle"] < 0]).all()
+    _, out, _ = cli("trace", scene, tree, rays, "--style", "wide", "--repeats", 1, "--json")
+    wide = json.loads(out)
+    assert wide["hits"] == traced["hits"]
+    assert not {"counted_cost", "lcv", "inner_per_ray", "leaves_per_ray"} & set(wide)
+    assert wide["wide_counted_cost"] != traced["counted_cost"]
+
+
+def test_a_study_for_machines(cli, tmp_path):
+    """JSON lines, the result last; twice the samples are twice the camera rays."""
+    code, out, err = cli(
+        "study", "cornell@1000", "-o", tmp_path, "--builders", "lbvh", "--experiments",
+        "prediction", "--seconds", 0, "--samples", 2, "--json",
+    )  # fmt: skip
+    assert (code, err) == (0, "")
+    *progress, result = map(json.loads, out.splitlines())
+    assert {line["event"] for line in progress} == {"progress"}
+    assert ("count", "lbvh") in {(line["stage"], line["builder"]) for line in progress}
+    assert (progress[-1]["stage"], progress[-1]["done"]) == ("done", 1.0)
+    assert result["event"] == "result"
+    assert [row["builder"] for row in result["trees"]] == ["lbvh"]
+    rays = json.loads((tmp_path / "cache" / "scene-cornell@1000.json").read_text())["value"]["rays"]
+    assert rays["samples"] == 2
+    assert rays["count"] > 1.5 * 160 * 120 * rays["viewpoints"]
 
 
 def test_options_reach_the_builder(cli, tmp_path):

@@ -151,3 +151,9 @@ def test_no_traversal_costs_less_than_what_a_ray_touches():
     # Boxes that begin where the ray ends count as touched, but need not be visited.
     assert (1.2 * hits.inner + hits.tests >= touched - 1e-6).mean() > 0.98
     assert touched.mean() > 0.5 * hits.counted_cost()
+
+
+def test_lines_take_the_cost_constants_of_the_tree(small_soup):
+    tree = mibvh.build(small_soup, "lbvh")
+    with pytest.raises(mibvh.MibvhError, match="cost constants are those the tree was built with"):
+        mibvh.sah(tree, c_inner=2.0, ray_lines=even_lines(small_soup, 10, 0))

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import shutil
 
@@ -7,6 +8,7 @@ import pytest
 from conftest import soup
 
 import mibvh
+from mibvh.studies.pieces import RayCounter
 from mibvh.studies.run import read_study, write_outputs
 from mibvh.studies.stopwatch import Timings, measure
 from mibvh.studies.store import Store
@@ -44,6 +46,17 @@ def test_table(finished, cornell):
         assert row["counted_cost"] == pytest.approx(hits.counted_cost())
         assert row["scalar_ns"] > 0
         assert row["simd_ns"] > 0
+
+
+def test_paths_are_found_anew_only_where_hits_differ(cornell):
+    rays = mibvh.diffuse_rays(cornell, width=24, height=16, samples=1)
+    counter = RayCounter(cornell, rays, cull=False)
+    tree, other = (mibvh.build(cornell.triangles, name) for name in ("bbvh", "lbvh"))
+    hits, again = (mibvh.trace(t, cornell.triangles, rays, repeats=1) for t in (tree, other))
+    first = counter.paths(hits)
+    assert counter.paths(again) is first
+    missed = dataclasses.replace(hits, triangle=np.full_like(hits.triangle, -1))
+    assert len(counter.paths(missed).ends) == 0
 
 
 def test_files(finished):

@@ -6,6 +6,7 @@ import typing
 
 import numpy as np
 
+from mibvh.errors import MibvhError
 from mibvh.tree import Tree
 from mibvh.triangles import F64
 
@@ -78,8 +79,15 @@ def sah(
     float or Estimate
         In units of the cost constants; with ``ray_lines`` (and the tree's own constants), an
         estimate with its standard error.
+
+    Raises
+    ------
+    MibvhError
+        If cost constants are given together with ``ray_lines``.
     """
     if ray_lines is not None:
+        if c_inner is not None or c_tri is not None:
+            raise MibvhError("with ray_lines, the cost constants are those the tree was built with")
         from mibvh.metrics.lines import sah_of_lines  # needs the node costs of this file
 
         return sah_of_lines(tree, ray_lines)

@@ -230,10 +230,10 @@ def _builders(records: list[dict[str, Any]]) -> Iterator[Claim]:
         claim="the sweep minimises the worst-case triangle cost that remains",
         paper="by construction, split by split",
         ours="; ".join(
-            f"after {n} splits {remaining.loc[others, n].idxmin()} "
+            f"after {n} split{'s' * (n > 1)} {remaining.loc[others, n].idxmin()} "
             f"{remaining.loc[others, n].min():.0%} of bbvh's" for n in shown
         ) or "–",
-        judged="no other builder that does not split triangles leaves less, after 1, 7, 63 splits",
+        judged="no other builder that does not split triangles leaves less after 1, 7 or 63 splits",
         conditions=tuple(bool(remaining.loc[others, n].min() >= 1 - 1e-9) for n in shown),
     )  # fmt: skip
 

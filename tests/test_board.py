@@ -1,0 +1,70 @@
+"""The progress of a study: JSON lines for machines, next to nothing where nobody looks."""
+
+import io
+import json
+
+import pytest
+
+from mibvh.studies import board
+from mibvh.studies.board import Board
+
+STEPS = [("one", "rays", 0.0), ("one", "build bbvh", 0.25), ("one", "time scalar", 0.5),
+         ("one", "done", 1.0), ("two", "count lbvh", 0.5), ("two", "done", 1.0)]  # fmt: skip
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Return a clock that goes on by ten seconds at each step of a study."""
+    now = [100.0]
+    monkeypatch.setattr(board.time, "monotonic", lambda: now[0])
+    return now
+
+
+def show(clock, lines):
+    with Board(2, lines) as shown:
+        for step in STEPS:
+            shown(*step)
+            clock[0] += 10
+
+
+def test_lines_for_machines(capsys, clock):
+    show(clock, lines=True)
+    out, err = capsys.readouterr()
+    lines = [json.loads(line) for line in out.splitlines()]
+    assert err == ""
+    assert {line["event"] for line in lines} == {"progress"}
+    told = ("scene", "stage", "builder", "done", "seconds_left", "scenes_done", "all_seconds_left")
+    assert [tuple(line[name] for name in told) for line in lines] == [
+        ("one", "rays", None, 0.0, None, 0, None),
+        # A quarter of the first of two scenes took ten seconds.
+        ("one", "build", "bbvh", 0.25, 30.0, 0, 70.0),
+        ("one", "time scalar", None, 0.5, 20.0, 0, 60.0),
+        ("one", "done", None, 1.0, 0.0, 1, 30.0),
+        ("two", "count", "lbvh", 0.5, 0.0, 1, 13.3),
+        ("two", "done", None, 1.0, 0.0, 2, 0.0),
+    ]
+
+
+def test_a_stage_is_told_once_a_second(capsys, clock):
+    with Board(1, lines=True) as shown:
+        for i in range(30):
+            shown("one", "time scalar", 0.5 + i / 100)
+            clock[0] += 0.1
+    assert len(capsys.readouterr().out.splitlines()) == 3
+
+
+def test_quiet_where_nobody_looks(capsys, clock):
+    show(clock, lines=False)
+    assert capsys.readouterr() == ("", "one: done (1 of 2)\ntwo: done (2 of 2)\n")
+
+
+def test_bars_on_a_terminal(monkeypatch, clock):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    show(clock, lines=False)
+    assert "study: 2 of 2 scenes" in terminal.getvalue()
+    assert "\x1b[" in terminal.getvalue()
