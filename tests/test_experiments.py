@@ -70,7 +70,7 @@ def test_again_recomputes_nothing(full, cornell, monkeypatch):
     def fail(*_, **__):
         pytest.fail("something was made again")
 
-    for name in ("pieces.build", "pieces.measure", "pieces.trace", "pieces.overlap",
+    for name in ("pieces.build", "pieces.measure", "pieces.Tracer", "pieces.overlap",
                  "run.diffuse_rays", "rotation.measure", "rotation.make_records",
                  "sensitivity.finish", "sensitivity.diffuse_rays",
                  "sensitivity.counted_costs"):  # fmt: skip
