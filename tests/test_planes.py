@@ -7,6 +7,7 @@ from mibvh import Triangles
 from mibvh.builders import get
 from mibvh.builders.planes import best_plane, new_bins
 from mibvh.builders.registry import Context
+from mibvh.builders.spatial import _unsplit
 from mibvh.builders.sweep import ID_ZERO
 
 
@@ -122,3 +123,30 @@ def test_parts_share_their_triangle_and_their_boxes_are_tight():
         np.testing.assert_allclose(polygon.min(axis=0), low, atol=1e-6)
         np.testing.assert_allclose(polygon.max(axis=0), high, atol=1e-6)
     np.testing.assert_allclose(held, triangles.areas * refs.scale**2, rtol=1e-4)
+
+
+def test_unsplitting_by_hand():
+    """Each cut reference stays cut or goes whole to a side, whichever is the cheapest of three.
+
+    Left is [0, 1] and right [1, 2] on x, both 1 x 1 across: half areas 1 + 2 x. Five
+    references are on each side, three of them cut.
+
+    - [0.9, 1.001] costs 3 * 5 + 3 * 5 = 30 cut, 3.002 * 5 + 3 * 4 = 27.01 on the left.
+    - [0.999, 1.8] then costs 27.01 cut, 3.002 * 4 + 3.002 * 4 = 24.016 on the right.
+    - [0.1, 1.9] then costs 24.016 cut, 4.8 * 4 + 3.002 * 3 = 28.206 on the left, as much on
+      the right.
+    """
+    lists, parts, halves = np.zeros((3, 8), "f4"), np.zeros((2, 3, 8), "f4"), np.zeros((3, 8), "f4")
+    lists[:, 4:7] = halves[:, 4:7] = -1
+    lists[:, 0], lists[:, 4] = [0.9, 0.999, 0.1], [-1.001, -1.8, -1.9]
+    lists.view(np.int32)[:, 3] = np.arange(3) + ID_ZERO
+    halves[1, [0, 4]] = 1, -2
+    parts[:] = np.arange(3)[:, None]
+    rows, side = np.arange(3, dtype=np.uint32), np.full(3, 9, np.uint8)
+    left, right, cut, cost = _unsplit(lists, 3, 5, 5, rows, side, parts, halves)
+    assert (left, right, cut) == (4, 4, 1)
+    assert cost == pytest.approx(24.016, rel=1e-5)
+    assert side.tolist() == [0, 1, 2]
+    assert rows[0] == 2
+    assert (parts[:, 0] == 2).all()
+    np.testing.assert_allclose(halves[:2, [0, 4]], [[0, -1.001], [0.999, -2]], rtol=1e-6)

@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 
 from mibvh import Triangles
 from mibvh.builders.draft import References
-from mibvh.builders.splitting import MAX_CORNERS, presplit, split_reference
+from mibvh.builders.splitting import (
+    MAX_CORNERS,
+    _factor_for,
+    _priorities,
+    pack_boxes,
+    presplit,
+    split_reference,
+)
 from mibvh.errors import MibvhError
 
 SCALE = 0.25
@@ -230,3 +237,30 @@ def test_presplit_of_one_flat_triangle():
 def test_presplit_refuses_a_negative_budget():
     with pytest.raises(MibvhError, match="beta"):
         presplit(soup(3, 0), -0.1)
+
+
+def test_priorities_by_hand():
+    # The scene box is [0, 8]^3. The first triangle is half of the rectangle x = [3, 5],
+    # y = [0, 4]: its box has area 2 * 2 * 4, the components of its edges' cross product add
+    # up to 8, and it crosses the middle of the scene, which is level -1. The second is the
+    # first moved to x = [1, 3], where the coarsest planes inside it are x = 2 and y = 2, of
+    # level -2: y = 4 is only its border.
+    frame = np.array([[[0, 0, 0]] * 3, [[8, 8, 8]] * 3], float)
+    first = np.array([[3, 0, 0], [5, 0, 0], [3, 4, 0]], float)
+    second = first - [2, 0, 0]
+    triangles = Triangles(np.concatenate([frame, [first, second]]).astype("f4"))
+    refs = References.of(triangles)
+    origin, extent = np.zeros(3), np.full(3, 8 * refs.scale)
+    found = _priorities(triangles.corners, refs.scale, pack_boxes(refs), origin, extent)
+    expected = [0, 0, (2**-1 * 8) ** (1 / 3), (2**-2 * 8) ** (1 / 3)]
+    np.testing.assert_allclose(found, np.array(expected) * refs.scale ** (2 / 3), rtol=1e-6)
+
+
+def test_splits_go_by_priority_until_the_budget_is_spent():
+    rng = np.random.default_rng(6)
+    for budget in (1, 7, 40, 1000):
+        priorities = rng.random(50) ** 3
+        factor = _factor_for(priorities, budget)
+        assert np.floor(factor * priorities).sum() <= budget
+        # A little more would not fit: the bisection is not cut short.
+        assert np.floor(factor * (1 + 1e-9) * priorities).sum() > budget - 1
