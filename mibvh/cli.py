@@ -231,8 +231,12 @@ def render(
     scene: SceneArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="the EXR or PNG to write")],
     integrator: Annotated[
-        str, typer.Option(help="bvh_path, bvh_cost, bvh_rays, or any of Mitsuba's")
-    ] = "bvh_path",
+        str | None,
+        typer.Option(
+            help="bvh_path, bvh_cost, bvh_rays, or any of Mitsuba's; by default the scene's own "
+            "if it is one of the first three, else bvh_path"
+        ),
+    ] = None,
     builder: Annotated[
         str | None, typer.Option(help="of the tree; sbvh by default (bvh_path, bvh_cost)")
     ] = None,

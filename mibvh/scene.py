@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +135,8 @@ def _from_parser(
         config = mi.parser.ParserConfig(mi.variant())
         config.merge_meshes = False
         state = parse(mi, config)
+        if any(node.props.plugin_name().startswith("bvh_") for node in state.nodes):
+            import mibvh.mitsuba  # noqa: F401 - registers the integrators that the scene names
         mi.parser.transform_all(config, state)
         instances = _expand_instances(mi, state)
         scene = mi.parser.instantiate(config, state)
@@ -142,12 +145,25 @@ def _from_parser(
             raise MibvhError(f"{where}: describes no scene")
         return _from_shapes(name, scene, scene.shapes(), instances, where)
     except RuntimeError as error:
-        reason = " ".join(str(error).split())
-        raise MibvhError(f"{where}: Mitsuba cannot load it ({reason})") from None
+        raise MibvhError(f"{where}: Mitsuba cannot load it ({mitsuba_reason(error)})") from None
     finally:
         resolver.clear()
         for entry in saved:
             resolver.append(str(entry))
+
+
+def mitsuba_reason(error: Exception) -> str:
+    """What an error of Mitsuba's parser says, on one line.
+
+    Where a plugin of mibvh's refused, its sentence with the place in the file, not the Python
+    traceback that Mitsuba puts around it.
+    """
+    text = " ".join(re.sub(r"\[parser\.cpp:\d+\] ", "", str(error)).split())
+    before, ours, sentence = text.rpartition("MibvhError: ")
+    if not ours:
+        return text
+    place = re.match(r"At .+?\(line \d+, col \d+\)", before)
+    return f"{place.group()}: {sentence}" if place else sentence
 
 
 def _expand_instances(mi: Any, state: Any) -> dict[str, list[np.ndarray]]:

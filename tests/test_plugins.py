@@ -286,6 +286,19 @@ print(mibvh.mitsuba.register.__code__.co_filename)
     assert names[0].count("llvm_ad_mono") == len(mibvh.mitsuba.PLUGINS)
 
 
+def test_passes_share_the_records_and_not_with_another_geometry():
+    scene = stage(box=box({"type": "diffuse"}, 0.0))
+    integrator = mi.load_dict({"type": "bvh_cost", "builder": "bbvh"})
+    first, again = integrator.prepare(scene)[0], integrator.prepare(scene)[0]
+    assert first._records is again._records
+    params = mi.traverse(scene)
+    params["box.vertex_positions"] = params["box.vertex_positions"] * 0.5
+    params.update()
+    moved = integrator.prepare(scene)[0]
+    assert moved._records is not first._records
+    assert moved.triangles.digest != first.triangles.digest
+
+
 def test_rays_are_those_of_diffuse_rays_and_shown_where_they_end(tmp_path):
     path = mibvh.bundled.bundled_scene("cornell@3000")
     scene = mi.load_file(str(path), optimize=False)
@@ -366,8 +379,32 @@ def test_render_command(tmp_path, capsys, monkeypatch):
         code, _, _ = run(tmp_path / "box.ply", "-o", picture, *small, "--integrator", integrator)
         assert code == 0
         assert np.array(mi.Bitmap(str(picture))).std() > 0
+    own = tmp_path / "own.xml"
+    own.write_text(
+        xml.read_text().replace(
+            "<emitter",
+            '<default name="who" value="lbvh"/><integrator type="bvh_cost">'
+            '<string name="builder" value="$who"/></integrator><emitter',
+        )
+    )
+    _, out, _ = run(own, "-o", image, *small, "--json")
+    assert "lbvh.cost" in json.loads(out)["means"]
+    _, out, _ = run(own, "-o", image, *small, "--json", "--builder", "sbvh")
+    assert json.loads(out)["integrator"] == "bvh_path"
+    code, _, err = run(own, "-o", image, *small, "-D", "who=oak")
+    assert code == 2
+    assert "(At " in err
+    assert "there is no builder 'oak'" in err
+    assert "Traceback" not in err
+    own.write_text('<scene version="3.0.0"><shape type="cube"/></scene>')
+    code, _, err = run(own, "-o", tmp_path / "none.png")
+    assert code == 2
+    assert "there is no camera in it" in err
+    assert not (tmp_path / "none.png").exists()
     for arguments, said in [
         (("-o", tmp_path / "b.jpg"), "an image is an .exr or a .png file"),
+        (("-o", tmp_path / "gone" / "b.png"), "there is no folder"),
+        (("-o", image, "--quantity", "speed"), "there is no quantity 'speed'"),
         (("-o", image, "--size", "12"), "--size takes WIDTHxHEIGHT"),
         (("-o", image, "--spp", 0), "spp must be at least 1"),
         (("-o", image, "--sensor", 9), "there is no 9"),

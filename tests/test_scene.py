@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import trimesh
@@ -98,3 +101,14 @@ def test_bad_input_gets_one_sentence(tmp_path):
     other.write_text("hello")
     with pytest.raises(mibvh.MibvhError, match="neither Mitsuba XML nor"):
         mibvh.load(other)
+
+
+def test_a_scene_file_may_name_our_integrators(tmp_path):
+    """In a fresh process, that has not imported the plugins."""
+    scene = tmp_path / "s.xml"
+    scene.write_text(
+        '<scene version="3.0.0"><integrator type="bvh_path"/><shape type="cube"/></scene>'
+    )
+    code = f"import mibvh; print(len(mibvh.load({str(scene)!r}).triangles))"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout == "12\n"

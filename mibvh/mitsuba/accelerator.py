@@ -11,7 +11,7 @@ from mibvh.errors import MibvhError
 from mibvh.mitsuba.parameters import Builder
 from mibvh.scene import mesh_corners, shape_key, shape_kind
 from mibvh.traversal.kernel import walk
-from mibvh.traversal.records import make_records, own_memory
+from mibvh.traversal.records import own_memory
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles
 from mibvh.variant import mitsuba
@@ -61,10 +61,10 @@ class Accelerator:
             raise MibvhError("there is no mesh in the scene to build a tree for")
         parts = [mesh_corners(shape) for shape in meshes]
         self.triangles = Triangles(np.concatenate(parts), "scene")
-        self.tree: Tree = Builder(builder, tuple(sorted(options.items()))).build(
+        self.tree: Tree
+        self.tree, self._records = Builder(builder, tuple(sorted(options.items()))).build(
             self.triangles, progress
         )
-        self._records = make_records(self.tree, self.triangles)
         self._corners = own_memory(self.triangles.corners)
         # -- from triangle ids to Mitsuba's shapes and primitives
         counts = [len(part) for part in parts]

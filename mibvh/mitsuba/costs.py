@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from mibvh.metrics.points import on_surface, point_costs, triangle_positions
 from mibvh.traversal.kernel import walk
-from mibvh.traversal.records import make_records
+from mibvh.traversal.records import Records, make_records
 from mibvh.tree import Tree
 from mibvh.triangles import F64, I32, Triangles
 from mibvh.variant import mitsuba
@@ -35,11 +35,19 @@ class CostProbe:
         What the tree was built for.
     cull : bool
         Re-test popped nodes against the current hit; not so in the paper.
+    records : Records, optional
+        The tree's, where they are there already.
     """
 
-    def __init__(self, tree: Tree, triangles: Triangles, cull: bool = False) -> None:
+    def __init__(
+        self,
+        tree: Tree,
+        triangles: Triangles,
+        cull: bool = False,
+        records: Records | None = None,
+    ) -> None:
         self.tree, self.triangles, self.cull = tree, triangles, cull
-        self._records = make_records(tree, triangles)
+        self._records = records or make_records(tree, triangles)
 
     def __call__(self, ray: Any, active: Any) -> dict[str, npt.NDArray[Any]]:
         """Trace rays, and count.

@@ -75,9 +75,7 @@ def cost_figure(
 
     layers = list(dict.fromkeys(name.split(".")[0] for name in channels if "." in name))
     chosen = list(quantities or (QUANTITIES if len(layers) == 1 else ("cost", "overlap")))
-    for name in chosen:
-        if name not in QUANTITIES:
-            raise MibvhError(f"there is no quantity {name!r}; there are: {', '.join(QUANTITIES)}")
+    check_quantities(chosen)
     height, width = channels["hit"].shape
     columns = min(3, len(chosen)) if len(layers) == 1 else len(layers)
     rows = -(-len(chosen) * len(layers) // columns)
@@ -104,6 +102,19 @@ def cost_figure(
             loc="outside lower center", frameon=False, fontsize=8,
         )  # fmt: skip
     return figure
+
+
+def check_quantities(names: Sequence[str]) -> None:
+    """Refuse names that no heat map has.
+
+    Raises
+    ------
+    MibvhError
+        Naming the first of them.
+    """
+    for name in names:
+        if name not in QUANTITIES:
+            raise MibvhError(f"there is no quantity {name!r}; there are: {', '.join(QUANTITIES)}")
 
 
 def _map(channels: dict[str, Any], layer: str, quantity: str) -> npt.NDArray[Any]:

@@ -9,8 +9,10 @@ from typing import Any
 from mibvh.builders import build
 from mibvh.builders.registry import get
 from mibvh.errors import MibvhError
+from mibvh.traversal.records import Records, make_records
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles
+from mibvh.variant import mitsuba
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,18 +28,20 @@ class Builder:
     name: str
     options: tuple[tuple[str, Any], ...] = ()
 
-    def build(self, triangles: Triangles, progress: Any = None) -> Tree:
-        """Build the tree, or take it from the last few built."""
-        key = (triangles.digest, self)
+    def build(self, triangles: Triangles, progress: Any = None) -> tuple[Tree, Records]:
+        """Build the tree and its records, or take them from the last few built."""
+        # Records lie in the memory of the variant's backend.
+        key = (mitsuba().variant(), triangles.digest, self)
         if key not in _trees:
             while len(_trees) >= _KEPT:
                 del _trees[next(iter(_trees))]
-            _trees[key] = build(triangles, self.name, progress=progress, **dict(self.options))
+            tree = build(triangles, self.name, progress=progress, **dict(self.options))
+            _trees[key] = tree, make_records(tree, triangles)
         return _trees[key]
 
 
-#: Trees of the last renders: an animation or a progressive render must not build again.
-_trees: dict[tuple[str, Builder], Tree] = {}
+#: Trees of the last renders: neither an animation nor the passes of a render build again.
+_trees: dict[tuple[str, str, Builder], tuple[Tree, Records]] = {}
 _KEPT = 4
 
 
@@ -80,9 +84,9 @@ def refuse_unknown(props: Any, plugin: str) -> None:
     """
     unknown = list(props.unqueried())
     if unknown:
-        raise MibvhError(
-            f"{plugin} has no parameter {unknown[0]!r}, and neither has the builder it names"
-        )
+        # bvh_rays builds no tree.
+        also = "" if plugin == "bvh_rays" else ", and neither has the builder it names"
+        raise MibvhError(f"{plugin} has no parameter {unknown[0]!r}{also}")
 
 
 def positive(props: Any, key: str, default: int) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,9 +14,9 @@ import numpy.typing as npt
 from mibvh.errors import MibvhError
 from mibvh.files import atomic_path
 from mibvh.mitsuba.coverage import coverage_figure
-from mibvh.mitsuba.heatmap import cost_figure, image_channels
+from mibvh.mitsuba.heatmap import check_quantities, cost_figure, image_channels
 from mibvh.mitsuba.register import PLUGINS
-from mibvh.scene import load, mitsuba_mesh
+from mibvh.scene import load, mitsuba_mesh, mitsuba_reason
 from mibvh.variant import mitsuba
 
 #: Samples that one pass takes at most: what keeps memory small and the progress bar moving.
@@ -28,7 +27,7 @@ Progress = Callable[[str, float], None]
 def render(
     source: str,
     output: str | os.PathLike[str],
-    integrator: str = "bvh_path",
+    integrator: str | None = None,
     *,
     parameters: dict[str, Any] | None = None,
     defines: dict[str, str] | None = None,
@@ -49,8 +48,9 @@ def render(
     output : path
         ``.exr`` holds all channels as they are; ``.png`` an sRGB picture, or the figure of a heat
         map with its scale and legend.
-    integrator : str
-        One of mibvh's, or any of Mitsuba's.
+    integrator : str, optional
+        One of mibvh's, or any of Mitsuba's. By default the scene's own if that is one of
+        mibvh's, with the parameters it has there; ``bvh_path`` otherwise.
     parameters : dict, optional
         Of the integrator.
     defines : dict, optional
@@ -84,15 +84,17 @@ def render(
     kind = Path(output).suffix.lower()
     if kind not in (".exr", ".png"):
         raise MibvhError(f"{output}: an image is an .exr or a .png file")
+    # Before the work, rather than after it.
+    if not Path(output).parent.is_dir():
+        raise MibvhError(f"{output}: there is no folder {str(Path(output).parent)!r}")
     if spp < 1:
         raise MibvhError(f"spp must be at least 1, not {spp}")
-    plugin = _instantiate(integrator, parameters or {})
+    check_quantities(quantities)
+    given = _instantiate(integrator or "bvh_path", parameters or {})
     scene = _mitsuba_scene(source, defines or {})
-    if not 0 <= sensor < len(scene.sensors()):
-        raise MibvhError(
-            f"{source} has {len(scene.sensors())} cameras, numbered from 0; there is no {sensor}"
-        )
-    camera = scene.sensors()[sensor]
+    plugin = given if integrator or parameters else _own_integrator(scene) or given
+    integrator = integrator or _plugin_name(plugin) or "bvh_path"
+    camera = _camera(source, scene, sensor)
     if size:
         params = mi.traverse(camera)
         params["film.size"] = list(size)
@@ -122,10 +124,29 @@ def _instantiate(integrator: str, parameters: dict[str, Any]) -> Any:
     try:
         return mi.load_dict({"type": integrator, **parameters})
     except (RuntimeError, TypeError) as error:
-        text = str(error)
-        ours = re.search(r"MibvhError: (.*)", text)
-        reason = ours.group(1) if ours else " ".join(text.split())
-        raise MibvhError(f"integrator {integrator}: {reason}") from None
+        raise MibvhError(f"integrator {integrator}: {mitsuba_reason(error)}") from None
+
+
+def _plugin_name(plugin: Any) -> str | None:
+    """Which of mibvh's integrators this is, if it is one."""
+    return next((name for name in PLUGINS if type(plugin).__module__.endswith(name)), None)
+
+
+def _own_integrator(scene: Any) -> Any:
+    """The integrator that a scene names, if it is one of mibvh's."""
+    own = scene.integrator()
+    return own if own is not None and _plugin_name(own) else None
+
+
+def _camera(source: str, scene: Any, sensor: int) -> Any:
+    sensors = scene.sensors()
+    if not sensors:
+        raise MibvhError(f"{source}: there is no camera in it")
+    if not 0 <= sensor < len(sensors):
+        raise MibvhError(
+            f"{source} has {len(sensors)} cameras, numbered from 0; there is no {sensor}"
+        )
+    return sensors[sensor]
 
 
 def _mitsuba_scene(source: str, defines: dict[str, str]) -> Any:
@@ -141,7 +162,7 @@ def _mitsuba_scene(source: str, defines: dict[str, str]) -> Any:
             # Meshes that are merged would give the triangles other numbers than load() does.
             scene = mi.load_file(str(path), optimize=False, **defines)
         except RuntimeError as error:
-            reason = " ".join(str(error).split())
+            reason = mitsuba_reason(error)
             raise MibvhError(f"{source}: Mitsuba cannot load it ({reason})") from None
         if not isinstance(scene, mi.Scene):
             raise MibvhError(f"{source}: describes no scene")

@@ -82,7 +82,7 @@ def overlap_slice(
     title = _QUANTITIES[quantity][0]
     letters = "xyz"[:normal] + "xyz"[normal + 1 :]
     canvas.set_title(
-        f"{tree.meta.get('builder', 'tree')}: {title} at {'xyz'[normal]} = {place:.3g}"
+        f"{tree.meta.get('builder', 'tree')}, at {'xyz'[normal]} = {place:.3g}:\n{title}"
     )
     canvas.set(xlabel=f"{letters[0]} (scene units)", ylabel=f"{letters[1]} (scene units)")
     canvas.grid(False)
