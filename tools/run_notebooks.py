@@ -1,7 +1,4 @@
-"""Run all notebooks and save them with their outputs, pictures in 256 colours to stay small.
-
-    .venv/bin/python tools/run_notebooks.py
-"""
+"""Run all notebooks and save them with their outputs, pictures in 256 colours to stay small."""
 
 import base64
 import io
