@@ -147,7 +147,7 @@ def _calibration(records: list[dict[str, Any]]) -> Sheet:
     for lanes in ("scalar", "simd"):
         c = calibrate(records, f"{lanes}_ns")
         rows.append({
-            "lanes": lanes, "ns per inner node": c["ns_per_inner"],
+            "lanes": {"simd": "SIMD"}.get(lanes, lanes), "ns per inner node": c["ns_per_inner"],
             "ns per triangle": c["ns_per_test"], "ns per ray": c["ns_per_ray"],
             "C_inner / C_tri": c["c_inner"], "mean error": c["mean_error"],
             "worst error": c["worst_error"], "trees": c["trees"],

@@ -22,7 +22,7 @@ _SHOWN_SPLITS = (1, 3, 7, 15, 63, 255, 1023)
 _CHOICES = {
     "leaf size": "largest leaf {}",
     "bounce": "bounce {} alone",
-    "viewpoints": "{} viewpoints",
+    "viewpoints": "{} viewpoint{}",
 }
 
 
@@ -198,7 +198,8 @@ def _sensitivity(records: list[dict[str, Any]]) -> list[Sheet]:
     section = "Does the conclusion stand with other choices?"
     summary = sensitivity_summary(table)
     summary.insert(0, "what is used", [
-        _CHOICES[e].format(c) for e, c in zip(summary["experiment"], summary["choice"], strict=True)
+        _CHOICES[e].format(c, "s" if c != 1 else "")
+        for e, c in zip(summary["experiment"], summary["choice"], strict=True)
     ])  # fmt: skip
     frame = summary.drop(columns=["experiment", "choice"]).rename(columns={
         "sah": "SAH: mean", "sah_min": "SAH: min", "fitted": "fitted: mean",

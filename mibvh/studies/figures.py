@@ -28,7 +28,7 @@ _INK = "#123457"
 #: Separates the parts of what is said of a point, in its group id: whose it is, and a tooltip.
 _TIP = "tip|"
 #: Width of a panel and room around its axes, in inches: left, right, bottom, top.
-_WIDTH, _MARGINS = 3.6, (0.62, 0.12, 0.48, 0.32)
+_WIDTH, _MARGINS = 3.6, (0.72, 0.12, 0.48, 0.32)
 _SVG = "http://www.w3.org/2000/svg"
 
 
@@ -67,7 +67,7 @@ def _name(axis: Axes, title: str, x: str, y: str) -> None:
     axis.set_xlabel(x)
     axis.set_ylabel(y)
     axis.xaxis.set_label_coords(0.5, -0.29 * inch / box.height)
-    axis.yaxis.set_label_coords(-0.43 * inch / box.width, 0.5)
+    axis.yaxis.set_label_coords(-0.56 * inch / box.width, 0.5)
 
 
 def svg(figure: Figure) -> str:
