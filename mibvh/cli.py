@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -62,6 +63,17 @@ def _progress() -> Any:
         disable=not sys.stderr.isatty(),
         transient=True,
     )
+
+
+def _show(bar: Any, task: Any) -> Callable[[str, float], None]:
+    """Show stages on a bar. Each has a time of its own: the last one's tells nothing of it."""
+
+    def show(stage: str, done: float) -> None:
+        if bar.tasks[task].description != stage:
+            bar.reset(task, description=stage)
+        bar.update(task, completed=done)
+
+    return show
 
 
 def _load(source: str) -> Any:
@@ -140,7 +152,7 @@ def build_command(
         tree = build(
             triangles,
             builder,
-            progress=lambda stage, done: bar.update(task, description=stage, completed=done),
+            progress=_show(bar, task),
             **options,
         )
     tree.save(output)
@@ -272,7 +284,7 @@ def render(
         facts, notes = run(
             scene, output, integrator, parameters=parameters, size=pixels, spp=spp, sensor=sensor,
             defines=_parse_pairs(define or [], "-D"), seed=seed, quantities=quantity or (),
-            progress=lambda stage, done: bar.update(task, description=stage, completed=done),
+            progress=_show(bar, task),
         )  # fmt: skip
     for note in notes:
         typer.echo(f"mibvh: {scene}: {note}", err=True)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import mibvh
-from mibvh.cli import main
+from mibvh.cli import _progress, _show, main
 
 
 def run(capsys, monkeypatch, *arguments):
@@ -185,3 +185,14 @@ def test_scenes_make_and_show(cli, tmp_path):
     assert code == 0
     assert json.loads(out)["triangles"] > 1000
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_new_stage_has_time_left():
+    bar = _progress()
+    task = bar.add_task("build", total=1.0)
+    show = _show(bar, task)
+    show("sort", 1.0)
+    assert bar.tasks[task].finished
+    show("split", 0.25)
+    assert not bar.tasks[task].finished
+    assert (bar.tasks[task].description, bar.tasks[task].completed) == ("split", 0.25)
