@@ -16,7 +16,7 @@ from mibvh.metrics.predictor import (
     predict,
 )
 from mibvh.metrics.sah import node_costs
-from mibvh.studies.analyse import pool
+from mibvh.studies.analyse import calibrate, pool
 
 
 def test_fit_alpha_recovers_the_mixture():
@@ -160,3 +160,22 @@ def test_the_fixed_weight_of_lcv_of_a_scene_comes_from_the_others():
     alone = pool(records[:1], "counted_cost")[0]
     assert alone.lcv == pytest.approx(2, rel=0.15)
     assert np.isnan(alone.lcv_from_others)
+
+
+def test_step_costs_and_how_well_they_are_known():
+    rng = np.random.default_rng(3)
+    trees = [
+        {"inner_per_ray": inner, "triangles_per_ray": tests} for inner, tests in rng.random((40, 2))
+    ]
+    for tree in trees:
+        tree["scalar_ns"] = 6 * tree["inner_per_ray"] + 4 * tree["triangles_per_ray"] + 10
+    exact = calibrate([{"trees": trees[:20]}, {"trees": trees[20:]}])
+    assert [exact[k] for k in ("c_inner", "c_inner_low", "c_inner_high")] == pytest.approx(
+        [1.5] * 3
+    )
+    assert exact["mean_error"] == pytest.approx(0, abs=1e-9)
+    for tree in trees:
+        tree["scalar_ns"] *= rng.uniform(0.9, 1.1)
+    noisy = calibrate([{"trees": trees}])
+    assert noisy["c_inner_low"] < 1.5 < noisy["c_inner_high"]
+    assert noisy["c_inner_high"] - noisy["c_inner_low"] > 0.1

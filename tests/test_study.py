@@ -68,6 +68,17 @@ def test_files(finished):
     assert json.loads((study.folder / "environment.json").read_text()) == study.environment
 
 
+def test_seconds_are_those_of_the_stages(finished):
+    seconds = finished[0].scenes[0]["seconds"]
+    assert list(seconds) == [
+        "rays", "trees", "metrics", "counts", "depth", "stopwatch", "picture",
+    ]  # fmt: skip
+    assert all(spent > 0 for spent in seconds.values())
+    built = finished[0].table["build_seconds"].sum()
+    assert seconds["trees"] >= built
+    assert "Where the time of the study went" in finished[0].report.read_text()
+
+
 def test_progress_ends_at_one(finished):
     done = [share for _, _, share in finished[1]]
     assert done[-1] == 1.0
@@ -82,6 +93,7 @@ def test_again_recomputes_nothing_and_report_remakes(finished, cornell, monkeypa
         monkeypatch.setattr(f"mibvh.studies.{name}", lambda *_, name=name, **__: pytest.fail(name))
     again = mibvh.study([cornell], study.folder, builders=("bbvh", "lbvh", "treewise"), **CHOICES)
     assert again.table.equals(study.table)
+    assert again.scenes[0]["seconds"] == study.scenes[0]["seconds"]
     assert {p: p.stat().st_mtime_ns for p in (study.folder / "cache").glob("t*")} == before
     study.report.unlink()
     found = read_study(study.folder)

@@ -7,10 +7,10 @@ rays begin and end. Shares no geometry with the exact walk of :mod:`mibvh.metric
 from __future__ import annotations
 
 import dataclasses
+import statistics
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
@@ -40,7 +40,7 @@ class Estimate:
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
         """Confidence interval, taking the mean as normally distributed."""
-        reach = float(stats.norm.ppf(0.5 + confidence / 2)) * self.standard_error
+        reach = statistics.NormalDist().inv_cdf(0.5 + confidence / 2) * self.standard_error
         return self.value - reach, self.value + reach
 
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize, stats
 
 #: The best fixed alpha on the paper's slides, and the default of other codes that cite it.
 FIXED_ALPHAS = (0.79, 0.71)
@@ -173,6 +172,8 @@ def fitted_combination(
     (K,) float64
         The combination's values, on the measurement's scale.
     """
+    from scipy import optimize  # a second to import
+
     y = np.asarray(measured, np.float64)
     x = np.stack([np.asarray(c, np.float64) for c in columns], axis=1)
     weights, _ = optimize.nnls(x - x.mean(axis=0), y - y.mean())
@@ -219,6 +220,8 @@ def agreement(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> dict[str, An
         Pearson r without the tree that changes it most: one absurd tree lifts every r), and
         ``worst_error`` (largest relative error of the least-squares line, as a share).
     """
+    from scipy import stats  # a second to import
+
     x, y = np.asarray(predicted, np.float64), np.asarray(measured, np.float64)
     result: dict[str, Any] = {"trees": len(x), "pearson": pearson(x, y)}
     for name in ("spearman", "kendall", "without_worst", "worst_error"):

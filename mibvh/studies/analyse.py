@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from scipy import optimize
 
 from mibvh.metrics.predictor import (
     FIXED_ALPHAS,
@@ -232,21 +231,32 @@ def calibrate(records: list[dict[str, Any]], measurement: str = "scalar_ns") -> 
     dict
         ``ns_per_inner``, ``ns_per_test``, ``ns_per_ray`` (what a ray costs whatever it visits),
         ``c_inner`` (the first over the second: the cost constant of this machine where
-        ``C_tri`` is 1), ``mean_error`` and ``worst_error`` (relative, of the fitted times), and
+        ``C_tri`` is 1), ``c_inner_low`` and ``c_inner_high`` (its 95% interval, by the bootstrap
+        over trees), ``mean_error`` and ``worst_error`` (relative, of the fitted times), and
         ``trees``.
     """
+    from scipy import optimize  # a second to import
+
     x = np.concatenate([
         np.stack([column(r, "inner_per_ray"), column(r, "triangles_per_ray"),
                   np.ones(len(r["trees"]))], axis=1)
         for r in records
     ])  # fmt: skip
     y = np.concatenate([column(r, measurement) for r in records])
-    weights, _ = optimize.nnls(x / y[:, None], np.ones(len(y)))  # relative errors count
-    error = np.abs(x @ weights / y - 1)
+    x /= y[:, None]  # relative errors count
+    weights, _ = optimize.nnls(x, np.ones(len(y)))
+    error = np.abs(x @ weights - 1)
     inner, test, ray = (float(w) for w in weights)
+    drawn = np.random.default_rng(0).integers(0, len(y), (400, len(y)))
+    others = np.array([optimize.nnls(x[rows], np.ones(len(y)))[0] for rows in drawn])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = others[:, 0] / others[:, 1]
+    # Not between two values: some may be infinite.
+    low, high = np.quantile(ratios, [0.025, 0.975], method="nearest")
     return {
         "ns_per_inner": inner, "ns_per_test": test, "ns_per_ray": ray,
         "c_inner": inner / test if test > 0 else float("nan"),
+        "c_inner_low": float(low), "c_inner_high": float(high),
         "mean_error": float(error.mean()), "worst_error": float(error.max()), "trees": len(y),
     }  # fmt: skip
 

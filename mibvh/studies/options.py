@@ -84,7 +84,7 @@ PROFILES: dict[str, dict[str, Any]] = {
         "height": 240,
         "samples": 4,
         "scalar_rays": 131072,
-        "seconds": 60.0,
+        "seconds": 45.0,
         "experiments": tuple(EXPERIMENTS),
     },
 }

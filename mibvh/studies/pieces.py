@@ -45,10 +45,10 @@ def study_tree(
     key = key_of(digest=scene.triangles.digest, builder=name, code=get(name).fingerprint())
     tree = store.array(Tree, key, functools.partial(build, scene.triangles, name))
     report("metrics", 0.5)
-    row = kept(store, f"metrics-{key}", functools.partial(tree_metrics, tree, scene))
+    row = store.kept(f"metrics-{key}", functools.partial(tree_metrics, tree, scene))
     report("count", 0.8)
     counts_key = key_of(tree=key, rays=rays_key, cull=counter.cull, lines=_LINES, format=3)
-    counts = kept(store, f"counts-{counts_key}", functools.partial(counter, tree))
+    counts = store.kept(f"counts-{counts_key}", functools.partial(counter, tree))
     return key, tree, {"builder": name, **row, **counts}
 
 
@@ -62,15 +62,6 @@ def report_part(
 ) -> None:
     """Pass the progress of a part on as that of the whole."""
     report(f"{stage} {name}", begin + share * done)
-
-
-def kept(store: Store, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """A JSON piece: read if it is here and sound, otherwise made and kept."""
-    value = store.read(name)
-    if value is None:
-        value = make()
-        store.write(name, value)
-    return value
 
 
 def cameras(scene: Scene) -> list[Any]:

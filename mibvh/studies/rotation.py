@@ -19,7 +19,7 @@ from mibvh.metrics.predictor import finite_ray_cost, fit_alpha, predict
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
 from mibvh.studies.options import StudyOptions
-from mibvh.studies.pieces import RayCounter, kept, launch, report_part, study_tree
+from mibvh.studies.pieces import RayCounter, launch, report_part, study_tree
 from mibvh.studies.stopwatch import measure
 from mibvh.studies.store import Store, key_of
 from mibvh.traversal.records import make_records, unit_scale
@@ -93,13 +93,11 @@ def rotation_experiment(
     frames = [(scene, rays, list(trees.values())), (there, moved, list(found.values()))]
     keys = {"before": list(trees), "after": list(found), "rays": rays_key}
     part = functools.partial(report_part, report, "turned", 0.6, 0.4)
-    timing = kept(
-        store,
+    timing = store.kept(
         f"rotation-{key_of(**keys, machine=machine, options=options.stopwatch('scalar'))}",
         functools.partial(_times_of_both, frames, options, part),
     )
-    hits = kept(
-        store,
+    hits = store.kept(
         f"same-{key_of(**keys)}",
         lambda: {"share": _same_hits(frames)},
     )

@@ -20,7 +20,7 @@ from mibvh.scene import Scene, load
 from mibvh.studies.catalogue import scenes_in, triangle_count_notes
 from mibvh.studies.depth import depth_experiment, depth_table
 from mibvh.studies.options import StudyOptions
-from mibvh.studies.pieces import RayCounter, cameras, kept, report_part, study_tree, times
+from mibvh.studies.pieces import RayCounter, cameras, report_part, study_tree, times
 from mibvh.studies.rotation import rotation_experiment, rotation_factors
 from mibvh.studies.sensitivity import sensitivity_experiment, sensitivity_table
 from mibvh.studies.store import Store, key_of
@@ -36,7 +36,17 @@ _KEPT = "scene-"
 #: Names of the scenes that the study has finished, in order.
 _FINISHED = "study"
 #: What a scene's record holds; to be raised with every change of its fields.
-_FORMAT = 4
+_FORMAT = 5
+#: What the seconds are spent on, by the first word of the pieces' names.
+_STAGES = {
+    "rayset": "rays",
+    "tree": "trees",
+    "metrics": "metrics",
+    "counts": "counts",
+    "depth": "depth",
+    "timing": "stopwatch",
+    "picture": "picture",
+}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -183,12 +193,14 @@ def study_scene(
         JSON-able: ``scene``, ``triangles``, ``rays`` (facts of the ray set), ``timing`` (per
         lane mode: rounds, whether the error asked for was reached, and how far the same tree,
         timed twice under two names, differed), ``trees`` (one dict per builder: metrics,
-        counters, times and their relative errors), ``options``, and, where those experiments
-        were asked for, ``rotation`` (see :func:`~mibvh.studies.rotation.rotation_experiment`) and
+        counters, times and their relative errors), ``options``, ``seconds`` (what each stage
+        took, in the runs that its pieces were made in), and, where those experiments were asked
+        for, ``rotation`` (see :func:`~mibvh.studies.rotation.rotation_experiment`) and
         ``sensitivity`` (see :func:`~mibvh.studies.sensitivity.sensitivity_experiment`).
     """
     triangles = scene.triangles
     report = functools.partial(progress, scene.name)
+    store.begin()
     shares = _shares(options.experiments)
     part = functools.partial(_part, report, *shares["prediction"])
     rays_key = key_of(digest=triangles.digest, cameras=cameras(scene), **options.rays())
@@ -203,7 +215,7 @@ def study_scene(
         key, tree, row = study_tree(name, scene, counter, rays_key, store, stage)
         if "depth" in options.experiments:
             piece = key_of(tree=key, format=2)
-            row.update(kept(store, f"depth-{piece}", functools.partial(depth_experiment, tree)))
+            row.update(store.kept(f"depth-{piece}", functools.partial(depth_experiment, tree)))
         trees[key] = tree
         rows.append(row)
     timing = {}
@@ -212,7 +224,7 @@ def study_scene(
         key = key_of(trees=list(trees), rays=rays_key, lanes=lanes, machine=environment(),
                      options=options.stopwatch(lanes))  # fmt: skip
         make = functools.partial(times, list(trees.values()), scene, rays, lanes, options, stage)
-        found = kept(store, f"timing-{key}", make)
+        found = store.kept(f"timing-{key}", make)
         for row, ns, error in zip(rows, found.pop("ns"), found.pop("error"), strict=True):
             row[f"{lanes}_ns"], row[f"{lanes}_error"] = ns, error
         timing[lanes] = found
@@ -226,18 +238,24 @@ def study_scene(
         "trees": rows,
         "options": dataclasses.asdict(options),
         "environment": environment(),
-        "picture": kept(store, f"picture-{rays_key}", functools.partial(_picture, scene)),
+        "picture": store.kept(f"picture-{rays_key}", functools.partial(_picture, scene)),
     }
+    seconds = {_STAGES[kind]: spent for kind, spent in store.spent.items()}
     if "rotation" in options.experiments:
+        store.begin()
         part = functools.partial(_part, report, *shares["rotation"])
         record["rotation"] = rotation_experiment(
             scene, rays, rays_key, trees, environment(), options, store, part
         )
+        seconds["rotation"] = sum(store.spent.values())
     if "sensitivity" in options.experiments:
+        store.begin()
         part = functools.partial(_part, report, *shares["sensitivity"])
         record["sensitivity"] = sensitivity_experiment(
             scene, rays, rays_key, trees, options, store, part
         )
+        seconds["sensitivity"] = sum(store.spent.values())
+    record["seconds"] = seconds
     store.write(_KEPT + scene.name, record)
     report("done", 1.0)
     return record

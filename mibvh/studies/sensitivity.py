@@ -20,7 +20,7 @@ from mibvh.metrics.sah import sah
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene
 from mibvh.studies.options import StudyOptions
-from mibvh.studies.pieces import cameras, costs_by_origin, counted_costs, kept, report_part
+from mibvh.studies.pieces import cameras, costs_by_origin, counted_costs, report_part
 from mibvh.studies.store import Store, key_of
 from mibvh.traversal.records import unit_scale
 from mibvh.traversal.trace import Tracer
@@ -64,7 +64,7 @@ def sensitivity_experiment(
             tree=key, rays=rays_key, cull=options.cull, sizes=LEAF_SIZES, most=_LEAF_RAYS
         )
         make = functools.partial(_leaf_sizes, name, scene, rays, options.cull)
-        leaf_sizes.append(kept(store, f"leaves-{piece}", make)["sizes"])
+        leaf_sizes.append(store.kept(f"leaves-{piece}", make)["sizes"])
     part = functools.partial(report_part, report, "bounces", 0.7, 0.3)
     return {"leaf_sizes": leaf_sizes, "bounces": _bounces(scene, trees, options, store, part)}
 
@@ -116,7 +116,7 @@ def _bounces(
         report("count", 0.2 + 0.8 * i / len(trees))
         tracer = tracer or Tracer(rays, float(unit_scale(scene.triangles)), cull=options.cull)
         make = functools.partial(_counted, tracer, tree, scene, rays)
-        costs.append(kept(store, f"deeper-{key_of(tree=name, rays=key, cull=options.cull)}", make))
+        costs.append(store.kept(f"deeper-{key_of(tree=name, rays=key, cull=options.cull)}", make))
     return [found["costs"] for found in costs]
 
 

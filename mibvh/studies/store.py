@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -35,6 +36,12 @@ class Store:
     folder : Path
         Made if it is not there.
 
+    Attributes
+    ----------
+    spent : dict of str to float
+        Seconds that it took to make the pieces handed out since :meth:`begin`, whenever that
+        was, by the first word of their names.
+
     Raises
     ------
     MibvhError
@@ -47,33 +54,66 @@ class Store:
         except OSError as error:
             raise MibvhError(f"{folder}: cannot be made a folder ({error.strerror})") from None
         self.folder = folder
+        self.spent: dict[str, float] = {}
+
+    def begin(self) -> None:
+        """Count the seconds spent on pieces from here on."""
+        self.spent = {}
 
     def array(self, kind: type[T], key: str, make: Callable[[], T]) -> T:
         """A tree or ray set: read if it is here and sound, otherwise made and kept."""
-        path = self.folder / f"{kind.__name__.lower()}-{key}.npz"
+        name = f"{kind.__name__.lower()}-{key}"
+        path = self.folder / f"{name}.npz"
         if path.exists():
             try:
-                return kind.load(path)
+                value = kind.load(path)
             except MibvhError:
                 path.unlink()
+            else:
+                self._count(name, self._held(name)[1])
+                return value
+        started = time.perf_counter()
         value = make()
+        seconds = time.perf_counter() - started
         value.save(path)
+        self.write(name, {}, seconds)
+        self._count(name, seconds)
+        return value
+
+    def kept(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """A JSON piece: read if it is here and sound, otherwise made and kept."""
+        value, seconds = self._held(name)
+        if value is None:
+            started = time.perf_counter()
+            value = make()
+            seconds = time.perf_counter() - started
+            self.write(name, value, seconds)
+        self._count(name, seconds)
         return value
 
     def read(self, name: str) -> dict[str, Any] | None:
         """Return the JSON piece of that name, or None if it is not here or damaged."""
+        return self._held(name)[0]
+
+    def write(self, name: str, value: dict[str, Any], seconds: float | None = None) -> None:
+        """Keep a JSON piece, and what it took to make."""
+        held = {"checksum": _checksum(value), "seconds": seconds, "value": value}
+        write_text(self.folder / f"{name}.json", json.dumps(held, indent=1))
+
+    def _held(self, name: str) -> tuple[dict[str, Any] | None, float]:
+        """A JSON piece, or None, and what it took to make, or NaN where that is not known."""
         path = self.folder / f"{name}.json"
         try:
             held = json.loads(path.read_text(encoding="utf-8"))
             sound = held["checksum"] == _checksum(held["value"])
-        except (OSError, ValueError, KeyError, TypeError):
-            return None
-        return held["value"] if sound else None
+            seconds = float("nan") if held.get("seconds") is None else float(held["seconds"])
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return None, float("nan")
+        return (held["value"], seconds) if sound else (None, float("nan"))
 
-    def write(self, name: str, value: dict[str, Any]) -> None:
-        """Keep a JSON piece."""
-        text = json.dumps({"checksum": _checksum(value), "value": value}, indent=1)
-        write_text(self.folder / f"{name}.json", text)
+    def _count(self, name: str, seconds: float) -> None:
+        kind = name.partition("-")[0]
+        self.spent[kind] = self.spent.get(kind, 0.0) + seconds
 
 
 def _checksum(value: Any) -> str:
