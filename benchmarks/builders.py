@@ -256,7 +256,7 @@ def scaling_plot(found: list[dict[str, Any]], builders: list[str], path: Path) -
     with style():
         figure = Figure(figsize=(7.2, 4.6), layout="constrained")
         axis = figure.subplots()
-        for name in builders:
+        for number, name in enumerate(builders):
             points = sorted(
                 (r["triangles"], min(r["seconds"].values())) for r in found if r["builder"] == name
             )
@@ -264,7 +264,7 @@ def scaling_plot(found: list[dict[str, Any]], builders: list[str], path: Path) -
                 *zip(*points, strict=True),
                 marker="o",
                 markersize=3,
-                color=builder_colour(builders, name),
+                color=builder_colour(number),
                 label=name,
             )
         sizes = np.array(sorted({r["triangles"] for r in found}), np.float64)
