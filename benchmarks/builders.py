@@ -99,7 +99,9 @@ def measure(
     seconds, beside, embree = {}, {}, None
     for count in threads:
         numba.set_num_threads(count)
-        times, peers, started = [], [], time.perf_counter()
+        times: list[float] = []
+        peers: list[float] = []
+        started = time.perf_counter()
         while len(times) < repeats and time.perf_counter() - started < _ENOUGH:
             tree = mibvh.build(triangles, name)
             times.append(tree.meta["build_seconds"])
@@ -273,15 +275,9 @@ def scaling_plot(found: list[dict[str, Any]], builders: list[str], path: Path) -
         axis.plot(sizes, 0.4 * first / guide[0] * guide, "--", color="#7F7F7F", label="n log n")
         axis.set(xscale="log", yscale="log", xlabel="triangles", ylabel="build time, seconds")
         axis.grid(alpha=0.25, which="major")
-        handles, labels = axis.get_legend_handles_labels()
         # In the order in which the lines end on the right.
-        order = np.argsort([-h.get_ydata()[-1] for h in handles], kind="stable")
-        axis.legend(
-            [handles[i] for i in order],
-            [labels[i] for i in order],
-            loc="center left",
-            bbox_to_anchor=(1.0, 0.5),
-        )
+        lines = sorted(axis.lines, key=lambda line: -np.asarray(line.get_ydata())[-1])
+        axis.legend(handles=lines, loc="center left", bbox_to_anchor=(1.0, 0.5))
         path.write_bytes(png(figure))
 
 

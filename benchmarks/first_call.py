@@ -14,10 +14,13 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
+
+if TYPE_CHECKING:
+    from mibvh.traversal.trace import Style
 
 
-def first_call(style: str, rays: int) -> float:
+def first_call(style: Style, rays: int) -> float:
     """Seconds of the first :func:`mibvh.trace` in this process."""
     import mibvh
 

@@ -9,9 +9,12 @@ import argparse
 import datetime
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from mibvh.traversal.trace import Style
 
 DEFAULT_SCENES = ["livingroom", "city_italian", "sculpture", "hairball", "powerplant", "vegetation"]
 
@@ -36,7 +39,7 @@ def different(hits: Any, theirs: Any, diagonal: float) -> int:
     return int(differ.sum())
 
 
-def measure(source: str, styles: list[str], builder: str, rounds: int) -> dict[str, Any]:
+def measure(source: str, styles: list[Style], builder: str, rounds: int) -> dict[str, Any]:
     """Measure one scene in all styles."""
     import mibvh
     from mibvh.traversal.records import make_records, unit_scale

@@ -40,6 +40,21 @@ def closed_box(lower: float = 0.0, upper: float = 1.0, cells: int = 4) -> np.nda
     return np.concatenate(faces).astype(np.float32)
 
 
+def clipped(points, low, high):
+    """Clip a polygon to a box in float64: keep what each half-space leaves."""
+    for axis in range(3):
+        for sign, bound in ((1.0, low[axis]), (-1.0, -high[axis])):
+            out = []
+            for p, q in zip(points, points[1:] + points[:1], strict=True):
+                a, b = sign * p[axis] - bound, sign * q[axis] - bound
+                if a >= 0:
+                    out.append(p)
+                if a * b < 0:
+                    out.append(p + (q - p) * (a / (a - b)))
+            points = out
+    return np.array(points).reshape(-1, 3)
+
+
 @pytest.fixture(scope="session")
 def small_soup() -> mibvh.Triangles:
     return soup(60)

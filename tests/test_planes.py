@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import clipped
 
 from mibvh import Triangles
 from mibvh.builders import get
@@ -9,21 +10,6 @@ from mibvh.builders.planes import best_plane, new_bins
 from mibvh.builders.registry import Context
 from mibvh.builders.spatial import _unsplit
 from mibvh.builders.sweep import ID_ZERO
-
-
-def clipped(points, low, high):
-    """Clip a polygon to a box in float64: keep what each half-space leaves."""
-    for axis in range(3):
-        for sign, bound in ((1.0, low[axis]), (-1.0, -high[axis])):
-            out = []
-            for p, q in zip(points, points[1:] + points[:1], strict=True):
-                a, b = sign * p[axis] - bound, sign * q[axis] - bound
-                if a >= 0:
-                    out.append(p)
-                if a * b < 0:
-                    out.append(p + (q - p) * (a / (a - b)))
-            points = out
-    return np.array(points).reshape(-1, 3)
 
 
 def area(polygon):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import clipped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,21 +19,6 @@ from mibvh.builders.splitting import (
 from mibvh.errors import MibvhError
 
 SCALE = 0.25
-
-
-def clipped(points, box):
-    """Clip a polygon to a box, (2, 3) float64: keep what each half-space leaves."""
-    for axis in range(3):
-        for sign, bound in ((1.0, box[0, axis]), (-1.0, -box[1, axis])):
-            out = []
-            for p, q in zip(points, points[1:] + points[:1], strict=True):
-                a, b = sign * p[axis] - bound, sign * q[axis] - bound
-                if a >= 0:
-                    out.append(p)
-                if a * b < 0:
-                    out.append(p + (q - p) * (a / (a - b)))
-            points = out
-    return np.array(points).reshape(-1, 3)
 
 
 def split(corners, box, axis, plane):
@@ -74,7 +60,7 @@ def test_boxes_of_repeated_splits_are_those_of_the_clipped_polygon(corners, cuts
         for bit, new, side in ((1, left, 1), (2, right, 0)):
             inner = region.copy()
             inner[side, axis] = plane
-            points = clipped(exact, inner)
+            points = clipped(exact, *inner)
             if not found & bit:
                 # Nothing of it is there, but for a touch of the plane itself or a rounding.
                 assert len(points) == 0 or np.ptp(points[:, axis]) <= tolerance
