@@ -61,6 +61,9 @@ AGREEMENT = [
     ("trees", "trees", "d", "how many"),
 ]
 
+#: Lane modes and how they are written.
+_LANES = {"scalar": "scalar", "simd": "SIMD"}
+
 
 def answers(records: list[dict[str, Any]], found: pd.DataFrame) -> list[Sheet]:
     """All tables over the scenes of a study, in the order in which they are read.
@@ -145,10 +148,10 @@ def _relative(records: list[dict[str, Any]]) -> list[Sheet]:
 
 def _calibration(records: list[dict[str, Any]]) -> Sheet:
     rows = []
-    for lanes in ("scalar", "simd"):
+    for lanes, title in _LANES.items():
         c = calibrate(records, f"{lanes}_ns")
         rows.append({
-            "lanes": {"simd": "SIMD"}.get(lanes, lanes), "ns per inner node": c["ns_per_inner"],
+            "lanes": title, "ns per inner node": c["ns_per_inner"],
             "ns per triangle": c["ns_per_test"], "ns per ray": c["ns_per_ray"],
             "C_inner / C_tri": c["c_inner"], "95% from": c["c_inner_low"], "to": c["c_inner_high"],
             "mean error": c["mean_error"],
@@ -222,7 +225,7 @@ def _stopwatch(records: list[dict[str, Any]]) -> Sheet:
     rows = []
     for record in records:
         row: dict[str, Any] = {"scene": record["scene"]}
-        for lanes, title in (("scalar", "scalar"), ("simd", "SIMD")):
+        for lanes, title in _LANES.items():
             timing = record["timing"][lanes]
             row[f"{title} rounds"] = timing["rounds"]
             row[f"{title} worst error"] = column(record, f"{lanes}_error").max()
@@ -242,8 +245,7 @@ def _stopwatch(records: list[dict[str, Any]]) -> Sheet:
 
 def _seconds(records: list[dict[str, Any]]) -> Sheet:
     frame = pd.DataFrame([{"scene": r["scene"], **r["seconds"]} for r in records])
-    stages = list(frame.columns[1:])
-    frame["all"] = frame[stages].sum(axis=1, min_count=len(stages))
+    frame["all"] = frame.iloc[:, 1:].sum(axis=1, skipna=False)
     return Sheet(
         name="seconds",
         section="Where the time of the study went",
