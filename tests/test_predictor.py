@@ -179,3 +179,20 @@ def test_step_costs_and_how_well_they_are_known():
     noisy = calibrate([{"trees": trees}])
     assert noisy["c_inner_low"] < 1.5 < noisy["c_inner_high"]
     assert noisy["c_inner_high"] - noisy["c_inner_low"] > 0.1
+
+
+def test_trees_of_one_scene_do_not_tell_more_of_step_costs_for_being_many():
+    """Scenes whose steps cost differently: more trees of each do not narrow the interval."""
+    rng = np.random.default_rng(5)
+    widths = []
+    for trees in (8, 128):
+        records = []
+        for inner, test in zip(rng.permutation(np.linspace(3, 9, 12)), [4.0] * 12, strict=True):
+            x = rng.random((trees, 2))
+            records.append({"trees": [
+                {"inner_per_ray": i, "triangles_per_ray": t, "scalar_ns": inner * i + test * t}
+                for i, t in x
+            ]})  # fmt: skip
+        found = calibrate(records)
+        widths.append(found["c_inner_high"] - found["c_inner_low"])
+    assert widths[1] > 0.6 * widths[0]

@@ -3,11 +3,13 @@
 import csv
 import io
 import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from mibvh.studies.figures import panels
 from mibvh.studies.sheet import Sheet
 
 SHEET = Sheet(
@@ -17,7 +19,7 @@ SHEET = Sheet(
     note="With α = 0.5.",
     frame=pd.DataFrame({
         "builder": ["a_b", "c"], "cost": [2.5, 1.25], "error": [0.011, np.nan],
-        "held": [True, False], "none": [np.nan, 3.0],
+        "held": [True, False], "none": [np.nan, np.inf],
     }),
     formats={"cost": ".2f"},
     errors={"cost": "error"},
@@ -29,7 +31,7 @@ def test_cells():
     assert SHEET.heads == ["builder", "cost", "held", "none"]
     assert [[c.text for c in row] for row in SHEET.rows()] == [
         ["a_b", "2.50", "yes", "–"],
-        ["c", "1.25", "no", "3"],
+        ["c", "1.25", "no", "∞"],
     ]
     first, second = (row[1] for row in SHEET.rows())
     assert (first.sort, first.error, first.best) == (2.5, "±1.1%", False)
@@ -42,7 +44,7 @@ def test_markdown():
         "| builder | cost | held | none |",
         "| --- | ---: | ---: | ---: |",
         "| a_b | 2.50 | yes | – |",
-        "| c | 1.25 | no | 3 |",
+        "| c | 1.25 | no | ∞ |",
     ]  # fmt: skip
 
 
@@ -58,7 +60,7 @@ def test_latex():
         r"builder & cost & held & none \\",
         r"\midrule",
         r"a\_b & 2.50 & yes & -- \\",
-        r"c & \textbf{1.25} & no & 3 \\",
+        r"c & \textbf{1.25} & no & $\infty$ \\",
         r"\bottomrule",
         r"\end{tabular}",
         r"\end{table}",
@@ -85,6 +87,15 @@ def test_figure_files(small_study):
         drawn = (small_study.folder / f"figures/{scene}-{name}.svg").read_text()
         assert "currentColor" not in drawn
         assert drawn.count('data-builder="lbvh"') == 2  # once per panel
+
+
+def test_builders_are_named_below_the_curves_of_a_file_and_once_on_the_page(small_study):
+    scene = small_study.scenes[0]["scene"]
+    drawn = (small_study.folder / f"figures/{scene}-depth.svg").read_text()
+    assert re.findall(r">(\w*bvh)</text>", drawn) == ["bbvh", "lbvh"]
+    for panel in panels(drawn):
+        assert ElementTree.fromstring(panel).tag.endswith("svg")
+        assert "lbvh</text>" not in panel
 
 
 def test_the_page_stands_alone(small_study):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -232,8 +233,8 @@ def calibrate(records: list[dict[str, Any]], measurement: str = "scalar_ns") -> 
         ``ns_per_inner``, ``ns_per_test``, ``ns_per_ray`` (what a ray costs whatever it visits),
         ``c_inner`` (the first over the second: the cost constant of this machine where
         ``C_tri`` is 1), ``c_inner_low`` and ``c_inner_high`` (its 95% interval, by the bootstrap
-        over trees), ``mean_error`` and ``worst_error`` (relative, of the fitted times), and
-        ``trees``.
+        over scenes and over the trees of each), ``mean_error`` and ``worst_error`` (relative, of
+        the fitted times), and ``trees``.
     """
     from scipy import optimize  # a second to import
 
@@ -247,8 +248,8 @@ def calibrate(records: list[dict[str, Any]], measurement: str = "scalar_ns") -> 
     weights, _ = optimize.nnls(x, np.ones(len(y)))
     error = np.abs(x @ weights - 1)
     inner, test, ray = (float(w) for w in weights)
-    drawn = np.random.default_rng(0).integers(0, len(y), (400, len(y)))
-    others = np.array([optimize.nnls(x[rows], np.ones(len(y)))[0] for rows in drawn])
+    drawn = _resampled([len(r["trees"]) for r in records], 400)
+    others = np.array([optimize.nnls(x[rows], np.ones(len(rows)))[0] for rows in drawn])
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = others[:, 0] / others[:, 1]
     # Not between two values: some may be infinite.
@@ -259,6 +260,21 @@ def calibrate(records: list[dict[str, Any]], measurement: str = "scalar_ns") -> 
         "c_inner_low": float(low), "c_inner_high": float(high),
         "mean_error": float(error.mean()), "worst_error": float(error.max()), "trees": len(y),
     }  # fmt: skip
+
+
+def _resampled(sizes: list[int], times: int) -> Iterator[np.ndarray]:
+    """Draw scenes, and trees of each, as trees of one scene err alike.
+
+    Yields
+    ------
+    (K,) int64
+        Rows of all scenes' trees, one scene after the other in ``sizes``.
+    """
+    generator = np.random.default_rng(0)
+    begin = np.cumsum([0, *sizes])
+    for _ in range(times):
+        scenes = generator.integers(0, len(sizes), len(sizes))
+        yield np.concatenate([begin[k] + generator.integers(0, sizes[k], sizes[k]) for k in scenes])
 
 
 def sensitivity(records: list[dict[str, Any]], measurement: str) -> pd.DataFrame:

@@ -163,7 +163,8 @@ def _calibration(records: list[dict[str, Any]]) -> Sheet:
         title="What a step costs",
         note="Nanoseconds fitted to all trees of all scenes: per inner node, per triangle test, "
         "and per ray whatever it visits. The paper takes 1.2 for C_inner / C_tri. The 95% interval "
-        "of this ratio is by the bootstrap over trees: where it is wide, the times do not tell.",
+        "of this ratio is by the bootstrap over scenes and their trees: where it is wide, the "
+        "times do not tell.",
         frame=pd.DataFrame(rows),
         formats={"ns per inner node": ".2f", "ns per triangle": ".2f", "ns per ray": ".1f",
                  "C_inner / C_tri": ".2f", "95% from": ".2f", "to": ".2f",

@@ -29,6 +29,8 @@ _INK = "#123457"
 _TIP = "tip|"
 #: Width of a panel and room around its axes, in inches: left, right, bottom, top.
 _WIDTH, _MARGINS = 3.6, (0.72, 0.12, 0.48, 0.32)
+#: Builders' names in a row of the strip below the panels, and the height of a row, in inches.
+_NAMES, _ROW = 9, 0.22
 _SVG = "http://www.w3.org/2000/svg"
 
 
@@ -44,11 +46,18 @@ def style() -> Iterator[None]:
         yield
 
 
-def _figure(panels: int, height: float = 2.8, bottom: float = 0.0) -> tuple[Figure, list[Axes]]:
-    """A row of panels; margins are fixed, as fitting them to the text takes most of the time."""
+def _figure(
+    panels: int, height: float = 2.8, bottom: float = 0.0, strip: float = 0.0
+) -> tuple[Figure, list[Axes]]:
+    """A row of panels; margins are fixed, as fitting them to the text takes most of the time.
+
+    Below the panels there is room for a strip that only the files have.
+    """
     left, right, low, top = _MARGINS
-    low = bottom or low
+    low = (bottom or low) + strip
+    height += strip
     figure = Figure(figsize=(_WIDTH * panels, height))
+    figure.set_gid(f"strip-{72 * strip:g}")
     axes = [
         figure.add_axes((
             (i + left / _WIDTH) / panels, low / height,
@@ -70,6 +79,18 @@ def _name(axis: Axes, title: str, x: str, y: str) -> None:
     axis.yaxis.set_label_coords(-0.56 * inch / box.width, 0.5)
 
 
+def _strip(record: dict[str, Any]) -> float:
+    """Height of the strip that takes the names of a scene's builders, in inches."""
+    return _ROW * (1 + (len(record["trees"]) - 1) // _NAMES) + 0.08
+
+
+def _legend(figure: Figure, axis: Axes) -> None:
+    """Name an axis's curves in the strip below the panels, clear of all curves."""
+    curves, names = axis.get_legend_handles_labels()
+    figure.legend(curves, names, loc="lower center", fontsize=7.5, ncols=min(len(names), _NAMES),
+                  columnspacing=1.3, handlelength=1.8, borderaxespad=0.2)  # fmt: skip
+
+
 def svg(figure: Figure) -> str:
     """Return a figure as SVG, page-coloured and with tooltips."""
     buffer = io.StringIO()
@@ -85,11 +106,15 @@ def svg(figure: Figure) -> str:
 
 
 def panels(text: str) -> list[str]:
-    """Split a figure's SVG into one per panel, without the names that only matplotlib needs."""
+    """Split a figure's SVG into one per panel, without the names that only matplotlib needs.
+
+    The strip below them is left out: a page says once what each colour stands for.
+    """
     ElementTree.register_namespace("", _SVG)
     ElementTree.register_namespace("xlink", "http://www.w3.org/1999/xlink")
     root = ElementTree.fromstring(text)
-    whole = next(g for g in root if g.get("id") == "figure_1")
+    whole = next(g for g in root if g.get("id", "").startswith("strip-"))
+    strip = float(whole.attrib["id"].removeprefix("strip-"))
     axes = [g for g in whole if g.get("id", "").startswith("panel-")]
     _, _, width, height = map(float, root.attrib["viewBox"].split())
     for name in ("width", "height"):
@@ -103,7 +128,7 @@ def panels(text: str) -> list[str]:
     for i, panel in enumerate(axes):
         whole[:] = [panel]
         part = width / len(axes)
-        root.set("viewBox", f"{i * part:g} 0 {part:g} {height:g}")
+        root.set("viewBox", f"{i * part:g} 0 {part:g} {height - strip:g}")
         found.append(ElementTree.tostring(root, encoding="unicode"))
     return found
 
@@ -162,7 +187,7 @@ def _scatter(
 def by_depth(record: dict[str, Any]) -> Figure:
     """Where in the tree the cost and the overlap sit: SAH and EPO by depth."""
     with style():
-        figure, axes = _figure(2, height=2.5)
+        figure, axes = _figure(2, height=2.5, strip=_strip(record))
         for axis, name in zip(axes, ("sah", "epo"), strict=True):
             curves, gids = {}, []
             for tree in record["trees"]:
@@ -173,7 +198,7 @@ def by_depth(record: dict[str, Any]) -> Figure:
                 )
             depth_curves(axis, curves, gids)
             _name(axis, f"{name.upper()} by depth", "depth", "cost")
-        axes[1].legend(fontsize=7, ncols=2 if len(record["trees"]) > 5 else 1)
+        _legend(figure, axes[0])
     return figure
 
 
@@ -186,7 +211,7 @@ def remaining(record: dict[str, Any]) -> Figure:
         Of a scene for which the experiment ``depth`` was run.
     """
     with style():
-        figure, axes = _figure(2, height=2.5)
+        figure, axes = _figure(2, height=2.5, strip=_strip(record))
         left, right, gids = {}, {}, []
         for tree in record["trees"]:
             name = tree["builder"]
@@ -202,7 +227,7 @@ def remaining(record: dict[str, Any]) -> Figure:
         _name(axes[1], "SAH of the tree cut at a depth", "depth", "cost")
         for axis in axes:
             axis.set_yscale("log")
-        axes[0].legend(fontsize=7, ncols=2 if len(record["trees"]) > 5 else 1)
+        _legend(figure, axes[0])
     return figure
 
 

@@ -14,7 +14,7 @@ import pandas as pd
 
 from mibvh.files import atomic_path, write_text
 from mibvh.studies import figures
-from mibvh.studies.analyse import MEASUREMENTS, PREDICTORS
+from mibvh.studies.analyse import MEASUREMENTS, PREDICTORS, column, overview
 from mibvh.studies.answers import PREDICTION
 from mibvh.studies.experiment_answers import TURNING
 from mibvh.studies.rotation import rotation_factors
@@ -28,6 +28,14 @@ CAPTIONS = {
     "depth": "Where in the trees the expected cost and the overlap sit.",
     "remaining": "What would remain to be tested if the tree ended there: what a sweep minimises.",
 }
+#: Predictors that a reader asks for first, and their titles.
+_FIRST = {
+    "SAH": "SAH alone",
+    "fitted": "SAH + EPO, α fitted per scene",
+    "finite rays": "finite rays, nothing fitted",
+}
+#: What they are held against.
+_FIRST_HELD = ("counted_cost", "scalar_ns")
 #: Width of the small pictures, in pixels: twice what is shown, for fine screens.
 _THUMBNAIL = 320
 
@@ -78,6 +86,8 @@ def write_report(
             _scene(folder, record, found, of_scene)
             for record, of_scene in zip(records, of_scenes, strict=True)
         ],
+        headline=_overall(found),
+        noise=max(max(column(record, "scalar_error")) for record in records),
         prediction=PREDICTION,
         summary=_draw(folder, "summary", figures.summary(found)),
         turning=TURNING if len(factors) else None,
@@ -131,14 +141,28 @@ def _scene(
         "thumbnail": _thumbnail(record["picture"]["png"]),
         "timing": record["timing"],
         "sheets": sheets,
-        "r": _headline(found[found["scene"] == name]),
+        "r": _of_scene(found[found["scene"] == name]),
         "figures": [
             (CAPTIONS[key], _draw(folder, f"{name}-{key}", figure)) for key, figure in drawn.items()
         ],
     }
 
 
-def _headline(found: pd.DataFrame) -> list[tuple[str, str, str]]:
+def _overall(found: pd.DataFrame) -> list[tuple[str, ...]]:
+    """Of each of :data:`_FIRST`: title, mean and least r with counted cost, the same with time.
+
+    Empty where no r is known.
+    """
+    summary = overview(found)
+    tiles = []
+    for name, title in _FIRST.items():
+        values = [summary.loc[(m, name), c] for m in _FIRST_HELD for c in ("mean", "min")]
+        if np.isfinite(values[0]):
+            tiles.append((title, *map(_r, values)))
+    return tiles
+
+
+def _of_scene(found: pd.DataFrame) -> list[tuple[str, str, str]]:
     """Of each measurement: its name, r of SAH, and r with EPO (α fitted)."""
     r = found.set_index(["measurement", "predictor"])["pearson"]
     return [

@@ -19,7 +19,7 @@ _LATEX = str.maketrans({
     **{sign: "\\" + sign for sign in "&%$#_{}"},
     "α": r"$\alpha$", "β": r"$\beta$", "σ": r"$\sigma$", "−": "$-$", "±": r"$\pm$",
     "–": "--", "×": r"$\times$", "≥": r"$\geq$", "≤": r"$\leq$", "√": r"$\surd$", "²": "$^2$",
-    "°": r"$^\circ$",
+    "°": r"$^\circ$", "∞": r"$\infty$",
 })  # fmt: skip
 
 
@@ -98,8 +98,10 @@ class Sheet:
             return Cell("yes" if value else "no", float(value), "", False)
         if isinstance(value, str):
             return Cell(value, value, "", False)
-        if value is None or not np.isfinite(value):
+        if value is None or np.isnan(value):
             return Cell(_NONE, "", "", False)
+        if np.isinf(value):
+            return Cell("∞" if value > 0 else "−∞", float(np.nan_to_num(value)), "", False)
         error = row[self.errors[head]] if head in self.errors else np.nan
         return Cell(
             format(value, self.formats.get(head, "g")),
