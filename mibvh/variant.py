@@ -61,6 +61,13 @@ def _prepare(backend: str) -> None:
         dr.set_thread_count(thread_count())
 
 
+def give_back_memory() -> None:
+    """Return to the system what Dr.Jit keeps of freed arrays for those to come."""
+    import drjit as dr
+
+    dr.flush_malloc_cache()
+
+
 @functools.cache
 def lane_width() -> int:
     """Lanes of a Dr.Jit packet: the vector width on LLVM, the warp on CUDA.

@@ -25,6 +25,7 @@ from mibvh.studies.rotation import rotation_experiment, rotation_factors
 from mibvh.studies.sensitivity import sensitivity_experiment, sensitivity_table
 from mibvh.studies.store import Store, key_of
 from mibvh.tree import Tree
+from mibvh.variant import give_back_memory
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -228,6 +229,7 @@ def study_scene(
         for row, ns, error in zip(rows, found.pop("ns"), found.pop("error"), strict=True):
             row[f"{lanes}_ns"], row[f"{lanes}_error"] = ns, error
         timing[lanes] = found
+    give_back_memory()  # the records of all trees at once, of which the rest needs one at a time
     record = {
         "scene": scene.name,
         "triangles": len(triangles),
@@ -248,6 +250,7 @@ def study_scene(
             scene, rays, rays_key, trees, environment(), options, store, part
         )
         seconds["rotation"] = sum(store.spent.values())
+        give_back_memory()
     if "sensitivity" in options.experiments:
         store.begin()
         part = functools.partial(_part, report, *shares["sensitivity"])
