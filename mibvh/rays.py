@@ -163,12 +163,13 @@ def diffuse_rays(
         ray = _primary_rays(mi, sensor, width, height, samples, rng)
         primary += width * height * samples
         for bounce in range(1, bounces + 1):
-            ray, rng, source = _bounce(mi, scene, corners, ray, rng)
+            found = _bounce(mi, scene, corners, ray, rng)
+            if found is None:
+                break
+            ray, rng, source = found
             o, d = (np.array(v, dtype=np.float32).T for v in (ray.o, ray.d))
             hits += len(o) if bounce == 1 else 0
             parts.append((o, d, np.array(source).astype(np.int32), view, bounce))
-            if len(o) == 0:
-                break
         if progress:
             progress((view + 1) / len(sensors))
     if hits == 0:
@@ -204,12 +205,17 @@ def _primary_rays(mi: Any, sensor: Any, width: int, height: int, samples: int, r
     return mi.Ray3f(ray)
 
 
-def _bounce(mi: Any, scene: Scene, corners: Any, ray: Any, rng: Any) -> tuple[Any, Any, Any]:
-    """The diffuse rays that leave where rays hit, the paths' random numbers, and the triangles."""
+def _bounce(mi: Any, scene: Scene, corners: Any, ray: Any, rng: Any) -> tuple[Any, Any, Any] | None:
+    """The diffuse rays that leave where rays hit, the paths' random numbers, and the triangles.
+
+    None where there are no such rays: Dr.Jit does not compute with arrays of no entries.
+    """
     import drjit as dr
 
     hit = scene.geometry.ray_intersect_preliminary(ray, coherent=False)
     went_on = dr.compress(hit.is_valid())
+    if len(went_on) == 0:
+        return None
     t, triangle = dr.gather(mi.Float, hit.t, went_on), dr.gather(mi.UInt32, hit.prim_index, went_on)
     o = dr.gather(mi.Point3f, ray.o, went_on)
     d = dr.gather(mi.Vector3f, ray.d, went_on)
@@ -227,6 +233,8 @@ def _bounce(mi: Any, scene: Scene, corners: Any, ray: Any, rng: Any) -> tuple[An
     local = mi.Vector3f(dr.sqrt(u) * dr.cos(phi), dr.sqrt(u) * dr.sin(phi), dr.sqrt(1 - u))
     out = mi.Frame3f(normal).to_world(local)
     sound = dr.compress(dr.all(dr.isfinite(out)))  # a zero-area triangle has no normal
+    if len(sound) == 0:
+        return None
     origin = mi.Point3f(o + d * (t - back))
     ray = mi.Ray3f(
         dr.gather(mi.Point3f, origin, sound), dr.gather(mi.Vector3f, mi.Vector3f(out), sound)

@@ -40,7 +40,22 @@ def test_fit_alpha_is_the_best_of_a_fine_grid(seed):
 def test_too_few_trees_have_no_correlation():
     assert np.isnan(pearson([1, 2], [3, 4]))
     assert np.isnan(pearson([1, 1, 1], [3, 4, 5]))
-    assert np.isnan(fit_alpha([1, 2], [1, 2], [3, 4]))
+    assert np.isnan(fit_alpha([1, 2, 3, 4], [1, 3, 2, 4], [3, 4, 1, 2]))
+
+
+def test_rounding_is_no_variation():
+    rng = np.random.default_rng(7)
+    values = 2 * (1 + 1e-9 * rng.standard_normal(9))
+    assert np.isnan(pearson(values, rng.random(9)))
+    assert np.isnan(pearson(rng.random(9), [np.nan] * 9))
+    assert np.isfinite(pearson(2 + 1e-5 * rng.random(9), rng.random(9)))
+
+
+def test_step_costs_want_trees():
+    tree = {"inner_per_ray": 3.0, "triangles_per_ray": 2.0, "scalar_ns": 9.0}
+    found = calibrate([{"trees": [tree] * 4}])
+    assert found["trees"] == 4
+    assert np.isnan(found["c_inner"])
 
 
 def test_agreement_names_the_absurd_tree():

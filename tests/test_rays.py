@@ -1,8 +1,12 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from conftest import closed_box
 
 import mibvh
+
+FEW = {"width": 16, "height": 12, "samples": 1}
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +62,32 @@ def test_round_trip_and_damage(rays, tmp_path):
     path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
     with pytest.raises(mibvh.MibvhError, match="damaged"):
         mibvh.RaySet.load(path)
+
+
+def test_viewpoints_that_see_nothing_and_paths_that_end(cornell):
+    """One camera looks away; a convex scene has no second bounce."""
+    sensor = cornell.sensors[0]
+    away = _looking_away(cornell)
+    both = mibvh.diffuse_rays(dataclasses.replace(cornell, sensors=[away, sensor]), **FEW)
+    assert set(both.viewpoint) == {1}
+    with pytest.raises(mibvh.MibvhError, match="no viewpoint sees any geometry"):
+        mibvh.diffuse_rays(dataclasses.replace(cornell, sensors=[away]), **FEW)
+    import trimesh
+
+    ball = trimesh.creation.icosphere(2)
+    rays = mibvh.diffuse_rays(mibvh.Triangles(ball.triangles.astype(np.float32)), bounces=3, **FEW)
+    assert set(rays.bounce) == {1}
+
+
+def _looking_away(scene):
+    import mitsuba as mi
+
+    lower, upper = (np.asarray(b, np.float64) for b in scene.triangles.bounds)
+    origin = upper + (upper - lower)
+    turned = mi.ScalarTransform4f().look_at(
+        origin=origin.tolist(), target=(2 * origin - lower).tolist(), up=[0, 1, 0]
+    )
+    return mi.load_dict({"type": "perspective", "to_world": turned})
 
 
 def test_impossible_requests(cornell):

@@ -123,6 +123,32 @@ def test_a_folder_that_held_other_studies(tmp_path, monkeypatch):
         read_study(tmp_path)
 
 
+def test_what_an_earlier_run_wrote_goes_and_what_others_wrote_stays(tmp_path):
+    mibvh.study([soup(40)], tmp_path, builders=("bbvh", "lbvh"), **CHOICES)
+    old = {p.relative_to(tmp_path) for kind in ("tables", "figures")
+           for p in (tmp_path / kind).glob("soup40-*")}  # fmt: skip
+    assert len(old) > 8
+    (tmp_path / "figures" / "own.svg").write_text("<svg/>")
+    mibvh.study([soup(50)], tmp_path, builders=("bbvh", "lbvh"), **CHOICES)
+    assert not any((tmp_path / p).exists() for p in old)
+    assert (tmp_path / "figures" / "own.svg").exists()
+    assert list((tmp_path / "figures").glob("soup50-*"))
+
+
+def test_a_flat_scene(tmp_path, cornell):
+    """No ray has a part inside its box, and none hits it: no metric of lines, and no crash."""
+    across = np.arange(5.0)
+    x, y = (v.ravel() for v in np.meshgrid(across, across))
+    corners = np.stack([np.stack([x + dx, y + dy, 0 * x], axis=1)
+                        for dx, dy in ((0, 0), (1, 0), (0, 1))], axis=1)  # fmt: skip
+    flat = dataclasses.replace(mibvh.Triangles(corners.astype(np.float32)), name="flat")
+    found = mibvh.study([flat, cornell], tmp_path, builders=("bbvh", "lbvh", "hill"), **CHOICES)
+    of_flat = found.table[found.table["scene"] == "flat"]
+    assert of_flat["sah_lines"].isna().all()
+    assert (of_flat["counted_cost"] > 0).all()
+    assert found.report.exists()
+
+
 def test_a_damaged_scene_is_named(tmp_path, finished):
     shutil.copytree(finished[0].folder / "cache", tmp_path / "cache")
     (tmp_path / "cache" / f"scene-{finished[0].scenes[0]['scene']}.json").write_text("{")

@@ -12,6 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+#: Fewest trees that alpha is fitted to: with the line it makes three free parameters, and r
+#: over three trees is 1, or nearly so, whatever the metrics are worth.
+FEWEST_TREES = 5
+#: Values that differ by less than this share of the greatest are taken for one: it is above the
+#: rounding of the metrics.
+_SAME = 1e-7
 #: The best fixed alpha on the paper's slides, and the default of other codes that cite it.
 FIXED_ALPHAS = (0.79, 0.71)
 
@@ -31,11 +37,13 @@ def predict(sah: npt.ArrayLike, epo: npt.ArrayLike, alpha: float) -> npt.NDArray
 def pearson(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> float:
     """Pearson's correlation coefficient.
 
-    NaN for constant values, and for fewer than three trees: over two it is 1 or -1 whatever the
-    predictor.
+    NaN for values that are constant but for rounding, or not finite, and for fewer than three
+    trees: over two it is 1 or -1 whatever the predictor.
     """
     x, y = np.asarray(predicted, np.float64), np.asarray(measured, np.float64)
-    if len(x) < 3 or np.ptp(x) == 0 or np.ptp(y) == 0:
+    if len(x) < 3 or not np.isfinite([x, y]).all():
+        return float("nan")
+    if any(np.ptp(v) <= _SAME * np.abs(v).max() for v in (x, y)):
         return float("nan")
     return float(np.corrcoef(x, y)[0, 1])
 
@@ -58,10 +66,10 @@ def fit_alpha(
     Returns
     -------
     float
-        From 0 to 1; NaN where no r is defined, as for fewer than three trees.
+        From 0 to 1; NaN where no r is defined, and for fewer than :data:`FEWEST_TREES` trees.
     """
     s, e, y, more = (np.asarray(v, np.float64) for v in (sah, epo, measured, plus))
-    if len(y) < 3:
+    if len(y) < FEWEST_TREES:
         return float("nan")
     base, step, y = (v - v.mean() for v in (s + more, e - s, y))
     # With base + alpha * step for the prediction, dr / dalpha = 0 is linear in alpha.

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from mibvh.metrics.predictor import (
+    FEWEST_TREES,
     FIXED_ALPHAS,
     agreement,
     bootstrap_interval,
@@ -45,6 +46,9 @@ PREDICTORS = {
     "LCV fixed": "the same, α fitted, the β of greatest mean r over these scenes",
     "LCV from others": "the same, α fitted, the β of greatest mean r over the other scenes",
 }
+#: What :func:`calibrate` finds.
+_STEP_COSTS = ("ns_per_inner", "ns_per_test", "ns_per_ray", "c_inner", "c_inner_low",
+               "c_inner_high", "mean_error", "worst_error")  # fmt: skip
 #: Weights of LCV that are tried, in cost per leaf.
 _LCV_WEIGHTS = np.concatenate([[0.0], np.geomspace(0.1, 100, 31)])
 _NONE = float("nan")
@@ -234,7 +238,8 @@ def calibrate(records: list[dict[str, Any]], measurement: str = "scalar_ns") -> 
         ``c_inner`` (the first over the second: the cost constant of this machine where
         ``C_tri`` is 1), ``c_inner_low`` and ``c_inner_high`` (its 95% interval, by the bootstrap
         over scenes and over the trees of each), ``mean_error`` and ``worst_error`` (relative, of
-        the fitted times), and ``trees``.
+        the fitted times), and ``trees``. NaN for fewer than
+        :data:`~mibvh.metrics.predictor.FEWEST_TREES` trees.
     """
     from scipy import optimize  # a second to import
 
@@ -245,6 +250,8 @@ def calibrate(records: list[dict[str, Any]], measurement: str = "scalar_ns") -> 
     ])  # fmt: skip
     y = np.concatenate([column(r, measurement) for r in records])
     x /= y[:, None]  # relative errors count
+    if len(y) < FEWEST_TREES:
+        return {**dict.fromkeys(_STEP_COSTS, _NONE), "trees": len(y)}
     weights, _ = optimize.nnls(x, np.ones(len(y)))
     error = np.abs(x @ weights - 1)
     inner, test, ray = (float(w) for w in weights)
@@ -299,7 +306,7 @@ def sensitivity(records: list[dict[str, Any]], measurement: str) -> pd.DataFrame
             measured = column(record, measurement)
             alpha = fit_alpha(sah, epo, measured)
             found.append((pearson(sah, measured), pearson(predict(sah, epo, alpha), measured)))
-        alone, both = np.nanmean(found, axis=0) if np.isfinite(found).any() else (np.nan, np.nan)
+        alone, both = pd.DataFrame(found).mean()  # of the scenes that have one
         rows.append({"constants": name, "c_inner": c_inner, "sah": alone, "fitted": both})
     return pd.DataFrame(rows)
 
@@ -321,7 +328,8 @@ def absolute_errors(records: list[dict[str, Any]]) -> pd.DataFrame:
         predicted = finite_ray_cost(column(record, "sah"), column(record, "point_query"), ratio)
         error = predicted / measured - 1
         level = predicted / measured / np.exp(np.log(predicted / measured).mean()) - 1
-        sigma = column(record, "epo_starts_error") / column(record, "epo_starts")
+        with np.errstate(invalid="ignore"):  # no overlap at all where rays start
+            sigma = column(record, "epo_starts_error") / column(record, "epo_starts")
         rows.append({
             "scene": record["scene"], "s": ratio, "hit_share": column(record, "hit_share")[0],
             "bias": error.mean(), "worst": error[np.abs(error).argmax()],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from mibvh.studies.analyse import (
@@ -63,6 +64,8 @@ AGREEMENT = [
 
 #: Lane modes and how they are written.
 _LANES = {"scalar": "scalar", "simd": "SIMD"}
+#: Where the standard errors of times are.
+_LANE_ERRORS = {f"{lanes}_ns": f"{lanes}_error" for lanes in _LANES}
 
 
 def answers(records: list[dict[str, Any]], found: pd.DataFrame) -> list[Sheet]:
@@ -77,9 +80,9 @@ def answers(records: list[dict[str, Any]], found: pd.DataFrame) -> list[Sheet]:
     """
     return [
         *claim_answers(records, found),
-        *(_overview(found, measurement) for measurement in MEASUREMENTS),
+        *(_overview(records, found, measurement) for measurement in MEASUREMENTS),
         _shared(records),
-        *(_per_scene(found, measurement) for measurement in MEASUREMENTS),
+        *(_per_scene(records, found, measurement) for measurement in MEASUREMENTS),
         _absolute(records),
         *_relative(records),
         *experiment_answers(records),
@@ -91,7 +94,7 @@ def answers(records: list[dict[str, Any]], found: pd.DataFrame) -> list[Sheet]:
     ]
 
 
-def _overview(found: pd.DataFrame, measurement: str) -> Sheet:
+def _overview(records: list[dict[str, Any]], found: pd.DataFrame, measurement: str) -> Sheet:
     summary = overview(found).loc[measurement]
     frame = summary[["mean", "min", "max", "worst_error", "scenes"]].reset_index()
     frame = frame.rename(columns={"worst_error": "worst error"})
@@ -102,6 +105,7 @@ def _overview(found: pd.DataFrame, measurement: str) -> Sheet:
         name=f"overview-{measurement}",
         section=PREDICTION,
         title=f"r over the scenes: {MEASUREMENTS[measurement]}",
+        note=_known(records, measurement),
         frame=frame,
         formats={**dict.fromkeys(("mean", "min", "max"), ".3f"), "worst error": ".0%"},
         help={"worst error": "largest misprediction of any tree by the least-squares line",
@@ -109,7 +113,15 @@ def _overview(found: pd.DataFrame, measurement: str) -> Sheet:
     )  # fmt: skip
 
 
-def _per_scene(found: pd.DataFrame, measurement: str) -> Sheet:
+def _known(records: list[dict[str, Any]], measurement: str) -> str:
+    """How well the times are known that an r is against; nothing for counted cost."""
+    if measurement not in _LANE_ERRORS:
+        return ""
+    error = max(column(record, _LANE_ERRORS[measurement]).max() for record in records)
+    return f"Times of a scene's trees are known relative to each other to ±{error:.1%} or better."
+
+
+def _per_scene(records: list[dict[str, Any]], found: pd.DataFrame, measurement: str) -> Sheet:
     of = found[found["measurement"] == measurement]
     frame = of.pivot(index="scene", columns="predictor", values="pearson")
     frame = frame.reindex(index=of["scene"].unique(), columns=list(PREDICTORS))
@@ -117,14 +129,23 @@ def _per_scene(found: pd.DataFrame, measurement: str) -> Sheet:
     frame["fitted, held out"] = fitted["held_out"]
     frame["α fitted"] = fitted["alpha"]
     frame["α estimated"] = of[of["predictor"] == "estimated"].set_index("scene")["alpha"]
+    if measurement in _LANE_ERRORS:
+        frame["times known to"] = [column(r, _LANE_ERRORS[measurement]).max() for r in records]
     frame = frame.rename_axis(columns=None).reset_index()
     return Sheet(
         name=f"r-{measurement}",
         section=PREDICTION,
         title=f"r per scene: {MEASUREMENTS[measurement]}",
         frame=frame,
-        formats={c: ".2f" if c.startswith("α") else ".3f" for c in frame},
-        help=PREDICTORS,
+        formats={
+            c: ".2f" if c.startswith("α") else ".1%" if c.startswith("times") else ".3f"
+            for c in frame
+        },
+        help={
+            "times known to": "largest standard error of a tree's time, relative to the scene's "
+            "other trees",
+            **PREDICTORS,
+        },
     )
 
 
@@ -231,6 +252,9 @@ def _stopwatch(records: list[dict[str, Any]]) -> Sheet:
             row[f"{title} rounds"] = timing["rounds"]
             row[f"{title} worst error"] = column(record, f"{lanes}_error").max()
             row[f"{title} same tree twice"] = timing["repeat_difference"]
+        if "rotation" in record:
+            again = [t["scalar_ns_before"] for t in record["rotation"]["trees"]]
+            row["scalar level again"] = float(np.mean(again / column(record, "scalar_ns"))) - 1
         rows.append(row)
     frame = pd.DataFrame(rows)
     return Sheet(
@@ -238,9 +262,16 @@ def _stopwatch(records: list[dict[str, Any]]) -> Sheet:
         section="How well the stopwatch agrees with itself",
         title="The stopwatch",
         note="Rounds in which every tree was timed once, the largest standard error of a tree's "
-        "time, and by how much one tree, timed twice under two names, differed.",
+        "time relative to the others, and by how much one tree, timed twice under two names, "
+        "differed. The level of all times of a scene is known less well: where the scene was "
+        "turned its trees were timed once more, minutes later, and the last column says by how "
+        "much the level differed then.",
         frame=frame,
-        formats={c: "+.1%" if c.endswith("twice") else ".1%" for c in frame if "rounds" not in c},
+        formats={
+            c: "+.1%" if c.endswith(("twice", "again")) else ".1%"
+            for c in frame
+            if "rounds" not in c
+        },
     )
 
 

@@ -143,8 +143,18 @@ def remaining_relative(records: list[dict[str, Any]], base: str = "bbvh") -> pd.
     return pd.DataFrame(rows).groupby("builder", sort=False).mean()
 
 
-def relative_to_best(records: list[dict[str, Any]], name: str = "sah") -> pd.DataFrame:
+def relative_to_best(
+    records: list[dict[str, Any]], name: str = "sah", without: tuple[str, ...] = ()
+) -> pd.DataFrame:
     """How far each builder's trees are above the best tree found for the scene.
+
+    Parameters
+    ----------
+    records : list of dict
+    name : str
+        A metric.
+    without : tuple of str
+        Builders that are left out.
 
     Returns
     -------
@@ -154,11 +164,12 @@ def relative_to_best(records: list[dict[str, Any]], name: str = "sah") -> pd.Dat
     """
     rows = []
     for record in records:
-        least = min(t[name] for t in record["trees"])
+        trees = [t for t in record["trees"] if t["builder"] not in without]
+        least = min((t[name] for t in trees), default=0.0)
         if least > 0:
             rows += [
                 {"builder": t["builder"], "scene": record["scene"], "ratio": t[name] / least}
-                for t in record["trees"]
+                for t in trees
             ]
     table = pd.DataFrame(rows, columns=["builder", "scene", "ratio"])
     groups = table.groupby("builder", sort=False)["ratio"]

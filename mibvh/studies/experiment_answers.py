@@ -10,7 +10,7 @@ import pandas as pd
 from mibvh.studies.catalogue import paper_comparison
 from mibvh.studies.claims import claims
 from mibvh.studies.depth import relative_to_best, remaining_relative
-from mibvh.studies.rotation import DEGREES, FACTORS, PAPER, rotation_factors
+from mibvh.studies.rotation import DEGREES, FACTORS, PAPER, average_alpha, rotation_factors
 from mibvh.studies.sensitivity import sensitivity_summary, sensitivity_table
 from mibvh.studies.sheet import Sheet
 
@@ -41,9 +41,10 @@ def claim_answers(records: list[dict[str, Any]], found: pd.DataFrame) -> list[Sh
             name="claims",
             section="The paper's claims",
             title="The paper's claims, and whether they held",
-            note="The paper's figures are those of its slides (22 scenes, GTX 680). What it takes "
-            "for a claim to have held is our choice, and stands in the last column. Times are "
-            f"known to {_noise(records)}: claims on time say no more than that.",
+            note="The paper's figures are those of its slides (22 scenes, GTX 680), where nothing "
+            "else is said. What it takes for a claim to have held is our choice, and stands in "
+            "the last column. Times of a scene's trees are known relative to each other to "
+            f"{_noise(records)}: claims on time say no more than that.",
             frame=claims(records, found),
             unfolded=True,
         )
@@ -160,8 +161,10 @@ def _rotation(records: list[dict[str, Any]]) -> list[Sheet]:
     if factors.empty:
         return []
     note = (
-        "Cost in the turned frame over that in the given one, mean over the {}; the trees are "
-        "built anew, the rays are the same. α is the mean of those fitted to counted cost."
+        "Cost in the turned frame over that in the given one, mean over the {what}; the trees are "
+        "built anew, the rays are the same. Average α: the mean over the scenes of those fitted "
+        f"to counted cost, {average_alpha(records):.2f} with EPO, "
+        f"{average_alpha(records, 'ray lines'):.2f} with the rays' own ends and lines."
     )
     by_scene = factors.groupby("scene", sort=False)[list(FACTORS)].mean()
     mean = by_scene.mean().rename("mean of the scenes")
@@ -179,7 +182,7 @@ def _rotation(records: list[dict[str, Any]]) -> list[Sheet]:
                 name=f"rotation-{what}s",
                 section=TURNING,
                 title=f"What turning costs, per {what}",
-                note=note.format(other),
+                note=note.replace("{what}", other),
                 frame=frame,
                 formats={**dict.fromkeys(FACTORS.values(), ".2f"),
                          "rays that hit the same": ".3%"},

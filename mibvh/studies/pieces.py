@@ -29,7 +29,7 @@ from mibvh.variant import mitsuba
 #: Groups of rays over which a tree's mean cost is kept, for the bootstrap.
 _RAY_GROUPS = 64
 #: Rays whose lines are followed through a tree: some microseconds each, for an error of 1%.
-_LINES = 10_000
+LINES = 10_000
 
 
 def study_tree(
@@ -47,7 +47,7 @@ def study_tree(
     report("metrics", 0.5)
     row = store.kept(f"metrics-{key}", functools.partial(tree_metrics, tree, scene))
     report("count", 0.8)
-    counts_key = key_of(tree=key, rays=rays_key, cull=counter.cull, lines=_LINES, format=3)
+    counts_key = key_of(tree=key, rays=rays_key, cull=counter.cull, lines=LINES, format=3)
     counts = store.kept(f"counts-{counts_key}", functools.partial(counter, tree))
     return key, tree, {"builder": name, **row, **counts}
 
@@ -150,7 +150,9 @@ class RayCounter:
         paths, starts = self.paths(hits), self.starts
         at_starts = point_costs(tree, self.triangles, starts.points, starts.triangle)
         at_ends = point_costs(tree, self.triangles, paths.ends.points, paths.ends.triangle)
-        of_lines = sah(tree, ray_lines=paths.lines)
+        # None in a flat scene: no ray has a part inside its box.
+        inside = np.count_nonzero(paths.lines.share)
+        of_lines = sah(tree, ray_lines=paths.lines) if inside > 1 else None
         return {
             **hits.counters(),
             "counted_cost": hits.counted_cost(c_inner, c_tri),
@@ -161,8 +163,8 @@ class RayCounter:
             "epo_starts_error": _standard_error(at_starts[:, 0]),
             "epo_ends": float(at_ends[:, 0].mean()) if len(paths.ends) else 0.0,
             "point_query": float(at_starts.sum(axis=1).mean()),
-            "sah_lines": of_lines.value,
-            "sah_lines_error": of_lines.standard_error,
+            "sah_lines": of_lines.value if of_lines else float("nan"),
+            "sah_lines_error": of_lines.standard_error if of_lines else float("nan"),
             "line_share": float(paths.lines.share.mean()),
             "touched": float(line_costs(tree, paths.lines, whole=False).mean()),
             "hit_share": paths.ends.share,
@@ -196,7 +198,7 @@ class RayPaths:
         return cls(
             hits,
             ray_hits(triangles, rays, hits),
-            ray_lines(triangles, rays, hits, _LINES),
+            ray_lines(triangles, rays, hits, LINES),
             path_length_ratio(triangles, rays, hits),
         )
 

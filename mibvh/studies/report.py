@@ -60,7 +60,7 @@ def write_report(
     found: pd.DataFrame,
     sheets: list[Sheet],
     of_scenes: list[list[Sheet]],
-) -> Path:
+) -> list[str]:
     """Write ``report.html``, and each figure as SVG and PNG under ``figures/``.
 
     Parameters
@@ -74,8 +74,14 @@ def write_report(
         Over the scenes; see :func:`mibvh.studies.answers.answers`.
     of_scenes : list of list of Sheet
         Of each scene; see :func:`mibvh.studies.answers.scene_answers`.
+
+    Returns
+    -------
+    list of str
+        The figures' files, relative to the folder.
     """
     (folder / "figures").mkdir(exist_ok=True)
+    draw = _Draw(folder)
     factors = rotation_factors(records)
     page = _template().render(
         builders=_builders(records),
@@ -83,31 +89,41 @@ def write_report(
             (title, list(group)) for title, group in itertools.groupby(sheets, lambda s: s.section)
         ],
         scenes=[
-            _scene(folder, record, found, of_scene)
+            _scene(draw, record, found, of_scene)
             for record, of_scene in zip(records, of_scenes, strict=True)
         ],
         headline=_overall(found),
         noise=max(max(column(record, "scalar_error")) for record in records),
         prediction=PREDICTION,
-        summary=_draw(folder, "summary", figures.summary(found)),
+        summary=draw("summary", figures.summary(found)),
         turning=TURNING if len(factors) else None,
-        rotation=_draw(folder, "rotation", figures.rotation(factors)) if len(factors) else [],
+        rotation=draw("rotation", figures.rotation(factors)) if len(factors) else [],
         predictors=PREDICTORS,
         environment=records[-1]["environment"],
         options=records[-1]["options"],
     )
-    target = folder / "report.html"
-    write_text(target, page)
-    return target
+    write_text(folder / "report.html", page)
+    return draw.written
 
 
-def _draw(folder: Path, name: str, figure: Any) -> list[str]:
-    """Write a figure's files. Returns the SVG of each of its panels, to stand in the page."""
-    drawn = figures.svg(figure)
-    write_text(folder / "figures" / f"{name}.svg", drawn.replace("currentColor", "#222"))
-    with atomic_path(folder / "figures" / f"{name}.png") as path:
-        path.write_bytes(figures.png(figure))
-    return figures.panels(drawn)
+class _Draw:
+    """Writes figures' files, and notes which."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.written: list[str] = []
+
+    def __call__(self, name: str, figure: Any) -> list[str]:
+        """Write a figure. Returns the SVG of each of its panels, to stand in the page."""
+        drawn = figures.svg(figure)
+        for kind in ("svg", "png"):
+            self.written.append(f"figures/{name}.{kind}")
+            with atomic_path(self._folder / self.written[-1]) as path:
+                if kind == "svg":
+                    path.write_text(drawn.replace("currentColor", "#222"), encoding="utf-8")
+                else:
+                    path.write_bytes(figures.png(figure))
+        return figures.panels(drawn)
 
 
 def _builders(records: list[dict[str, Any]]) -> list[dict[str, str]]:
@@ -120,7 +136,7 @@ def _builders(records: list[dict[str, Any]]) -> list[dict[str, str]]:
 
 
 def _scene(
-    folder: Path, record: dict[str, Any], found: pd.DataFrame, sheets: list[Sheet]
+    draw: _Draw, record: dict[str, Any], found: pd.DataFrame, sheets: list[Sheet]
 ) -> dict[str, Any]:
     name = record["scene"]
     drawn = {
@@ -141,9 +157,9 @@ def _scene(
         "thumbnail": _thumbnail(record["picture"]["png"]),
         "timing": record["timing"],
         "sheets": sheets,
-        "r": _of_scene(found[found["scene"] == name]),
+        "r": _of_scene(record, found[found["scene"] == name]),
         "figures": [
-            (CAPTIONS[key], _draw(folder, f"{name}-{key}", figure)) for key, figure in drawn.items()
+            (CAPTIONS[key], draw(f"{name}-{key}", figure)) for key, figure in drawn.items()
         ],
     }
 
@@ -162,12 +178,16 @@ def _overall(found: pd.DataFrame) -> list[tuple[str, ...]]:
     return tiles
 
 
-def _of_scene(found: pd.DataFrame) -> list[tuple[str, str, str]]:
-    """Of each measurement: its name, r of SAH, and r with EPO (α fitted)."""
+def _of_scene(record: dict[str, Any], found: pd.DataFrame) -> list[tuple[str, str, str, str]]:
+    """Of each measurement: its name, r of SAH, r with EPO (α fitted), and how well it is known."""
     r = found.set_index(["measurement", "predictor"])["pearson"]
+    known = {
+        f"{lanes}_ns": f"times ±{column(record, f'{lanes}_error').max():.1%}"
+        for lanes in record["timing"]
+    }
     return [
-        (title, _r(r[measurement, "SAH"]), _r(r[measurement, "fitted"]))
-        for measurement, title in MEASUREMENTS.items()
+        (title, _r(r[m, "SAH"]), _r(r[m, "fitted"]), known.get(m, "no noise"))
+        for m, title in MEASUREMENTS.items()
     ]
 
 

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mibvh.metrics.predictor import finite_ray_cost, fit_alpha, predict
+from mibvh.metrics.predictor import FIXED_ALPHAS, finite_ray_cost, predict
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
+from mibvh.studies.analyse import predictors
 from mibvh.studies.options import StudyOptions
 from mibvh.studies.pieces import RayCounter, launch, report_part, study_tree
 from mibvh.studies.stopwatch import measure
@@ -38,8 +39,11 @@ FACTORS = {
     "sah": "SAH",
     "epo": "EPO",
     "predictor": "SAH + EPO, average α",
+    "fixed": f"SAH + EPO, α = {FIXED_ALPHAS[0]}",
+    "ray_lines": "ray lines, average α",
     "finite_rays": "finite rays",
     "finite_by_lines": "finite by lines",
+    "touched": "touched",
 }
 
 
@@ -74,10 +78,10 @@ def rotation_experiment(
     Returns
     -------
     dict
-        JSON-able: ``axis``, ``degrees``, ``same_hits`` (share of the rays that hit the same
-        triangle in both frames), ``trees`` (rows as in the scene's record, without SIMD times,
-        and with ``scalar_ns_before``: the unturned tree's time in the same rounds of the
-        stopwatch), ``timing``.
+        JSON-able: ``axis``, ``degrees``, ``digest`` (of the turned triangles), ``same_hits``
+        (share of the rays that hit the same triangle in both frames), ``trees`` (rows as in the
+        scene's record, without SIMD times, and with ``scalar_ns_before``: the unturned tree's
+        time in the same rounds of the stopwatch), ``timing``.
     """
     there, moved = turned(scene, rays)
     moved_key = key_of(rays=rays_key, axis=AXIS, degrees=DEGREES)
@@ -106,8 +110,8 @@ def rotation_experiment(
     ):
         row["scalar_ns_before"], row["scalar_ns"], row["scalar_error"] = before, after, error
     return {
-        "axis": AXIS, "degrees": DEGREES, "same_hits": hits["share"], "trees": rows,
-        "timing": timing,
+        "axis": AXIS, "degrees": DEGREES, "digest": there.triangles.digest,
+        "same_hits": hits["share"], "trees": rows, "timing": timing,
     }  # fmt: skip
 
 
@@ -154,12 +158,11 @@ def _same_hits(frames: list[tuple[Scene, RaySet, list[Tree]]]) -> float:
 # ------------------------------------------------------------------ answers
 
 
-def average_alpha(records: list[dict[str, Any]], measurement: str = "counted_cost") -> float:
-    """Mean over the scenes of the fitted alpha; NaN where none can be fitted."""
-    fitted = [
-        fit_alpha(*([t[name] for t in r["trees"]] for name in ("sah", "epo", measurement)))
-        for r in records
-    ]
+def average_alpha(
+    records: list[dict[str, Any]], predictor: str = "fitted", measurement: str = "counted_cost"
+) -> float:
+    """Mean over the scenes of the alpha fitted for a predictor; NaN where none can be fitted."""
+    fitted = [predictors(record, measurement)[predictor][0] for record in records]
     fitted = [a for a in fitted if np.isfinite(a)]
     return float(np.mean(fitted)) if fitted else float("nan")
 
@@ -167,8 +170,8 @@ def average_alpha(records: list[dict[str, Any]], measurement: str = "counted_cos
 def rotation_factors(records: list[dict[str, Any]]) -> pd.DataFrame:
     """By what the turned scenes' costs exceed those of the scenes as they are.
 
-    The predictor is ``(1 - alpha) SAH + alpha EPO`` with the mean over all scenes of the fitted
-    alpha: to counted cost, which has no noise, where the paper fits to scalar time.
+    The predictors with an average alpha have the mean over all scenes of the alphas fitted to
+    counted cost, which has no noise, where the paper fits to scalar time.
 
     Returns
     -------
@@ -176,30 +179,36 @@ def rotation_factors(records: list[dict[str, Any]]) -> pd.DataFrame:
         One row per scene and builder: ``scene, builder``, and a column per key of
         :data:`FACTORS`; empty where no scene was turned. NaN where the unturned cost is zero.
     """
-    alpha = average_alpha(records)
+    alpha, of_lines = (average_alpha(records, name) for name in ("fitted", "ray lines"))
     rows = []
     for record in records:
         if "rotation" not in record:
             continue
         for before, after in zip(record["trees"], record["rotation"]["trees"], strict=True):
-            factors = {
-                name: _ratio(after[name], before[name]) for name in ("counted_cost", "sah", "epo")
-            }
-            combined = [float(predict(t["sah"], t["epo"], alpha)) for t in (after, before)]
-            finite, by_lines = (
-                [
-                    float(finite_ray_cost(t[sah], t["point_query"], t[share]))
-                    for t in (after, before)
-                ]
-                for sah, share in (("sah", "length_ratio"), ("sah_lines", "line_share"))
-            )
+            there, here = (_foretold(tree, alpha, of_lines) for tree in (after, before))
             rows.append({
-                "scene": record["scene"], "builder": before["builder"], **factors,
+                "scene": record["scene"], "builder": before["builder"],
+                **{name: _ratio(there[name], here[name]) for name in there},
                 "scalar_ns": _ratio(after["scalar_ns"], after["scalar_ns_before"]),
-                "predictor": _ratio(*combined), "finite_rays": _ratio(*finite),
-                "finite_by_lines": _ratio(*by_lines),
             })  # fmt: skip
     return pd.DataFrame(rows, columns=["scene", "builder", *FACTORS])
+
+
+def _foretold(tree: dict[str, Any], alpha: float, of_lines: float) -> dict[str, float]:
+    """Counted cost of a tree, and what each predictor says of it."""
+    at_ends = tree["epo_starts"] + tree["hit_share"] * tree["epo_ends"]
+    return {
+        **{name: tree[name] for name in ("counted_cost", "sah", "epo", "touched")},
+        "predictor": float(predict(tree["sah"], tree["epo"], alpha)),
+        "fixed": float(predict(tree["sah"], tree["epo"], FIXED_ALPHAS[0])),
+        "ray_lines": float(predict(tree["sah_lines"], at_ends, of_lines)),
+        "finite_rays": float(
+            finite_ray_cost(tree["sah"], tree["point_query"], tree["length_ratio"])
+        ),
+        "finite_by_lines": float(
+            finite_ray_cost(tree["sah_lines"], tree["point_query"], tree["line_share"])
+        ),
+    }
 
 
 def _ratio(after: float, before: float) -> float:

@@ -36,8 +36,10 @@ Progress = Callable[[str, str, float], None]
 _KEPT = "scene-"
 #: Names of the scenes that the study has finished, in order.
 _FINISHED = "study"
+#: The tables and figures that the last run wrote.
+_WRITTEN = "study-files"
 #: What a scene's record holds; to be raised with every change of its fields.
-_FORMAT = 5
+_FORMAT = 6
 #: What the seconds are spent on, by the first word of the pieces' names.
 _STAGES = {
     "rayset": "rays",
@@ -265,10 +267,13 @@ def study_scene(
 
 
 def _shares(experiments: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Where in the progress of a scene each experiment begins, and its share."""
+    """Where in the progress of a scene each experiment begins, and its share.
+
+    They end short of 1, which says that the scene is done.
+    """
     weights = {"prediction": 1.0, "rotation": 1.0, "sensitivity": 0.6}
     chosen = {n: w for n, w in weights.items() if n == "prediction" or n in experiments}
-    total, begin, shares = sum(chosen.values()), 0.0, {}
+    total, begin, shares = 1.01 * sum(chosen.values()), 0.0, {}
     for name, weight in chosen.items():
         shares[name] = (begin / total, weight / total)
         begin += weight
@@ -288,7 +293,10 @@ def _picture(scene: Scene) -> dict[str, Any]:
 
 
 def write_outputs(folder: Path, records: list[dict[str, Any]]) -> None:
-    """Write the tables, the environment and the report of the scenes that are finished."""
+    """Write the tables, the environment and the report of the scenes that are finished.
+
+    Tables and figures of an earlier run that are not among those of this one are removed.
+    """
     from mibvh.studies.analyse import correlations
     from mibvh.studies.answers import answers, scene_answers
     from mibvh.studies.report import write_report
@@ -298,10 +306,14 @@ def write_outputs(folder: Path, records: list[dict[str, Any]]) -> None:
     sheets = answers(records, found)
     of_scenes = [scene_answers(record, found) for record in records]
     write_tables(folder, records, found)
-    write_sheets(folder, [*sheets, *(sheet for scene in of_scenes for sheet in scene)])
+    written = write_sheets(folder, [*sheets, *(sheet for scene in of_scenes for sheet in scene)])
     write_text(folder / "environment.json", json.dumps(records[-1]["environment"], indent=2))
     write_text(folder / "results.md", "\n".join(sheet.markdown() for sheet in sheets))
-    write_report(folder, records, found, sheets, of_scenes)
+    written += write_report(folder, records, found, sheets, of_scenes)
+    store = Store(folder / "cache")
+    for name in set((store.read(_WRITTEN) or {"files": []})["files"]) - set(written):
+        (folder / name).unlink(missing_ok=True)
+    store.write(_WRITTEN, {"files": written})
 
 
 def read_study(folder: str | os.PathLike[str]) -> Study:
