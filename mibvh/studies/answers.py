@@ -21,6 +21,7 @@ from mibvh.studies.analyse import (
 from mibvh.studies.claims import PAPER_EPO
 from mibvh.studies.experiment_answers import claim_answers, experiment_answers
 from mibvh.studies.sheet import Sheet
+from mibvh.studies.unexplained import OF, noise_table, simd_deviation
 
 #: The section that the figure of all correlations stands in.
 PREDICTION = "How well cost is predicted"
@@ -84,11 +85,13 @@ def answers(records: list[dict[str, Any]], found: pd.DataFrame) -> list[Sheet]:
         _shared(records),
         *(_per_scene(records, found, measurement) for measurement in MEASUREMENTS),
         _absolute(records),
+        _simd(records),
         *_relative(records),
         *experiment_answers(records),
         _calibration(records),
         _constants(records),
         _stopwatch(records),
+        _noise(records, found),
         _seconds(records),
         _trees(records),
     ]
@@ -273,6 +276,44 @@ def _stopwatch(records: list[dict[str, Any]]) -> Sheet:
             if "rounds" not in c
         },
     )
+
+
+def _noise(records: list[dict[str, Any]], found: pd.DataFrame) -> Sheet:
+    table = noise_table(records, found)
+    frame = pd.DataFrame({"scene": table["scene"].unique()})
+    for lanes, title in _LANES.items():
+        of = table[table["lanes"] == lanes].reset_index()
+        frame[f"{title}: r at most"] = of["r_at_most"]
+        for name in OF:
+            frame[f"{title}: noise in what {name} misses"] = of[name]
+    return Sheet(
+        name="noise",
+        section="How well the stopwatch agrees with itself",
+        title="What part of the missing correlation is noise",
+        note="Of the variance of a scene's times, the mean square of their standard errors is "
+        "noise; no predictor can be expected to correlate better than 'r at most'. What a "
+        "predictor misses is 1 − r²; the other columns say what share of it is that noise.",
+        frame=frame,
+        formats={c: ".3f" if c.endswith("most") else ".0%" for c in frame},
+    )
+
+
+def _simd(records: list[dict[str, Any]]) -> Sheet:
+    frame = simd_deviation(records).rename(columns={
+        "deviation": "mean deviation", "r": "r of LCV", "explained": "explained by LCV",
+        "noise": "noise",
+    })  # fmt: skip
+    return Sheet(
+        name="simd-deviation",
+        section=PREDICTION,
+        title="How SIMD departs from scalar time, and what LCV explains of it",
+        note="A tree's deviation is the logarithm of SIMD over scalar time, less the mean of the "
+        "scene's trees. Explained is the square of r, with its sign; noise is the share of the "
+        "deviations' variance that is the stopwatch's.",
+        frame=frame,
+        formats={"mean deviation": ".1%", "r of LCV": ".2f", "explained by LCV": ".0%",
+                 "noise": ".0%"},
+    )  # fmt: skip
 
 
 def _seconds(records: list[dict[str, Any]]) -> Sheet:

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mibvh.studies.analyse import column, overview, relative_to
+from mibvh.studies.analyse import overview, relative_to
 from mibvh.studies.depth import relative_to_best, remaining_relative
 from mibvh.studies.rotation import PAPER as PAPER_ROTATION
 from mibvh.studies.rotation import rotation_factors
+from mibvh.studies.unexplained import simd_deviation
 
 #: EPO relative to lbvh, mean over the paper's scenes.
 PAPER_EPO = {"agglo": 1.07, "anneal": 0.81, "treelet": 0.52, "bbvh": 0.46, "bittner": 0.45,
@@ -254,11 +255,7 @@ def _simd(records: list[dict[str, Any]], found: pd.DataFrame) -> Iterator[Claim]
         conditions=tuple(bool(lcv[b] < others.min()) for b in sweeps) if enough else (),
     )
     steady = _steady(records, "scalar") and _steady(records, "simd")
-    deviations = []
-    for record in records:
-        ratio = np.log(column(record, "simd_ns") / column(record, "scalar_ns"))
-        deviations.append(np.abs(ratio - ratio.mean()).mean())
-    typical = float(np.mean(deviations))
+    typical = float(simd_deviation(records)["deviation"].mean())
     yield Claim(
         claim="SIMD deviates from scalar by little",
         paper="5 to 10%",
