@@ -271,7 +271,7 @@ def summary(table: pd.DataFrame) -> Figure:
     names = list(dict.fromkeys(table["predictor"]))
     shown = table[table["pearson"].notna()]
     with style():
-        figure, axes = _figure(len(MEASUREMENTS), height=3.2, bottom=0.82)
+        figure, axes = _figure(len(MEASUREMENTS), height=3.45, bottom=1.07)
         for axis, (measurement, title) in zip(axes, MEASUREMENTS.items(), strict=True):
             rows = shown[shown["measurement"] == measurement]
             for i, name in enumerate(names):
