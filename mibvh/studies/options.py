@@ -71,9 +71,8 @@ class StudyOptions:
     def stopwatch(self, lanes: str) -> dict[str, Any]:
         """What times depend on, besides the trees, the rays and the machine."""
         names = ("seconds", "standard_error", "cull")
-        return {
-            n: getattr(self, n) for n in (*names, *(("scalar_rays",) if lanes == "scalar" else ()))
-        }
+        chosen = (*names, *(("scalar_rays",) if lanes == "scalar" else ()))
+        return {"by": "portions", **{n: getattr(self, n) for n in chosen}}
 
 
 #: ``quick`` for a first look and for tests, ``paper`` for figures to be cited.

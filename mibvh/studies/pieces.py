@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -28,6 +29,8 @@ from mibvh.variant import mitsuba
 
 #: Groups of rays over which a tree's mean cost is kept, for the bootstrap.
 _RAY_GROUPS = 64
+#: Fewest rays of a portion that is timed: some hundredths of a second.
+_PORTION = {"scalar": 8192, "simd": 32768}
 #: Rays whose lines are followed through a tree: some microseconds each, for an error of 1%.
 LINES = 10_000
 
@@ -257,14 +260,14 @@ def times(
     report: Callable[[str, float], None],
 ) -> dict[str, Any]:
     """Time all trees of a scene, and the first one a second time under another name."""
-    if lanes == "scalar":
-        rays = rays.select(slice(None, None, -(-len(rays) // options.scalar_rays)))
-    tracer = Tracer(rays, float(unit_scale(scene.triangles)), lanes, cull=options.cull)
+    rays = timed_rays(rays, lanes, options)
+    tracers = portions(rays, scene, lanes, options)
     records = [make_records(tree, scene.triangles) for tree in trees]
     again = make_records(trees[0], scene.triangles)
-    launches = [functools.partial(launch, tracer, r) for r in [*records, again]]
+    launches = [functools.partial(launch, tracers, r) for r in [*records, again]]
     timings = measure(
         launches,
+        portions=len(tracers),
         seconds=options.seconds,
         standard_error=options.standard_error,
         progress=functools.partial(report, "time"),
@@ -276,10 +279,28 @@ def times(
         "rounds": len(timings.seconds),
         "complete": timings.complete,
         "rays": len(rays),
+        "portions": len(tracers),
         "repeat_difference": float(ns[-1] / ns[0] - 1),
     }
 
 
-def launch(tracer: Tracer, records: Records) -> float:
-    """Trace once; return the kernel time in seconds."""
-    return tracer.run(records)[1]
+def timed_rays(rays: RaySet, lanes: Any, options: StudyOptions) -> RaySet:
+    """The rays that are timed: all, or with one lane per packet every so-many-eth."""
+    step = -(-len(rays) // options.scalar_rays) if lanes == "scalar" else 1
+    return rays.select(slice(None, None, step))
+
+
+def portions(rays: RaySet, scene: Scene, lanes: Any, options: StudyOptions) -> list[Tracer]:
+    """Split rays into runs of neighbours that are long enough to be timed; at most eight."""
+    count = min(max(len(rays) // _PORTION[lanes], 1), 8)
+    ends = np.linspace(0, len(rays), count + 1).astype(int)
+    scale = float(unit_scale(scene.triangles))
+    return [
+        Tracer(rays.select(slice(begin, end)), scale, lanes, cull=options.cull)
+        for begin, end in itertools.pairwise(ends)
+    ]
+
+
+def launch(tracers: list[Tracer], records: Records, portion: int) -> float:
+    """Trace a portion of the rays; return the kernel time in seconds."""
+    return tracers[portion].run(records)[1]

@@ -20,7 +20,14 @@ from mibvh.rays import RaySet
 from mibvh.scene import Scene
 from mibvh.studies.analyse import predictors
 from mibvh.studies.options import StudyOptions
-from mibvh.studies.pieces import RayCounter, launch, report_part, study_tree
+from mibvh.studies.pieces import (
+    RayCounter,
+    launch,
+    portions,
+    report_part,
+    study_tree,
+    timed_rays,
+)
 from mibvh.studies.stopwatch import measure
 from mibvh.studies.store import Store, key_of
 from mibvh.traversal.records import make_records, unit_scale
@@ -123,13 +130,15 @@ def _times_of_both(
     """Time the trees of both frames in the same rounds, so that drift cancels in the factors."""
     launches = []
     for scene, rays, trees in frames:
-        some = rays.select(slice(None, None, -(-len(rays) // options.scalar_rays)))
-        tracer = Tracer(some, float(unit_scale(scene.triangles)), "scalar", cull=options.cull)
+        some = timed_rays(rays, "scalar", options)
+        tracers = portions(some, scene, "scalar", options)
         launches += [
-            functools.partial(launch, tracer, make_records(tree, scene.triangles)) for tree in trees
+            functools.partial(launch, tracers, make_records(tree, scene.triangles))
+            for tree in trees
         ]
     timings = measure(
         launches,
+        portions=len(tracers),
         seconds=options.seconds,
         standard_error=options.standard_error,
         progress=functools.partial(report, "time"),
