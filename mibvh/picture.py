@@ -14,6 +14,10 @@ from mibvh.scene import Scene
 from mibvh.triangles import F64
 from mibvh.variant import mitsuba
 
+#: A pixel is dark below this share of the bright ones' value, and a picture where more than so
+#: many are: closed rooms, of which few paths find the light, come out as white dots on black.
+_DARK, _MOSTLY = 0.02, 0.4
+
 
 def picture(scene: Scene, viewpoint: int = 0, width: int = 360, samples: int = 32) -> F64:
     """Render what a viewpoint sees.
@@ -32,7 +36,8 @@ def picture(scene: Scene, viewpoint: int = 0, width: int = 360, samples: int = 3
     -------
     (H, W, 3) float64
         From 0 to 1, as shown on a screen. Scenes that Mitsuba can render are rendered with their
-        own integrator; bare meshes are lit from the camera.
+        own integrator; bare meshes are lit from the camera, and so is what their own light hardly
+        gets to.
 
     Raises
     ------
@@ -57,6 +62,8 @@ def picture(scene: Scene, viewpoint: int = 0, width: int = 360, samples: int = 3
     pixels = np.array(mi.Bitmap(image).convert(mi.Bitmap.PixelFormat.RGB,
                                                mi.Struct.Type.Float32, False))  # fmt: skip
     middle = np.quantile(pixels[np.isfinite(pixels)], 0.9)
+    if (pixels.max(axis=2) <= _DARK * middle).mean() > _MOSTLY:
+        return _headlight(mi, scene, sensor, *size)
     return np.clip(np.nan_to_num(pixels) * (0.8 / max(middle, 1e-6)), 0, 1).astype(float) ** (
         1 / 2.2
     )

@@ -207,6 +207,18 @@ def test_picture_keeps_the_film(cornell):
     assert list(cornell.sensors[0].film().size()) == size
 
 
+def test_a_room_that_its_light_does_not_get_into_is_lit_from_the_camera():
+    import mitsuba as mi
+
+    room = mibvh.load({
+        "type": "scene", "integrator": {"type": "path"}, "sky": {"type": "constant"},
+        "walls": {"type": "cube", "bsdf": {"type": "twosided", "b": {"type": "diffuse"}}},
+        "sensor": {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at(
+            origin=[0, 0.1, 0.9], target=[0.2, 0, 0], up=[0, 1, 0])},
+    })  # fmt: skip
+    assert np.array_equal(picture(room, width=20, samples=4), picture(room, width=20, samples=0))
+
+
 @pytest.mark.parametrize(
     ("draw", "message"),
     [
