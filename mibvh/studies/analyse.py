@@ -30,6 +30,8 @@ MEASUREMENTS = {
     "scalar_ns": "scalar ns/ray",
     "simd_ns": "SIMD ns/ray",
 }
+#: Lane modes and how they are written.
+LANES = {"scalar": "scalar", "simd": "SIMD"}
 #: Predictors, and what each is.
 PREDICTORS = {
     "SAH": "the surface area heuristic alone",
@@ -57,6 +59,11 @@ _NONE = float("nan")
 def column(record: dict[str, Any], name: str) -> np.ndarray:
     """One value per tree of a scene's record."""
     return np.array([tree[name] for tree in record["trees"]], dtype=np.float64)
+
+
+def worst_time_error(records: list[dict[str, Any]], lanes: str) -> float:
+    """Largest standard error of a tree's time, relative to the scene's other trees."""
+    return max(float(column(record, f"{lanes}_error").max()) for record in records)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from mibvh.studies.analyse import (
+    LANES,
     MEASUREMENTS,
     PREDICTORS,
     absolute_errors,
@@ -17,6 +18,7 @@ from mibvh.studies.analyse import (
     pool,
     relative_to,
     sensitivity,
+    worst_time_error,
 )
 from mibvh.studies.claims import PAPER_EPO
 from mibvh.studies.experiment_answers import claim_answers, experiment_answers
@@ -63,10 +65,8 @@ AGREEMENT = [
     ("trees", "trees", "d", "how many"),
 ]
 
-#: Lane modes and how they are written.
-_LANES = {"scalar": "scalar", "simd": "SIMD"}
-#: Where the standard errors of times are.
-_LANE_ERRORS = {f"{lanes}_ns": f"{lanes}_error" for lanes in _LANES}
+#: Lane modes of the measurements that are times.
+_TIMED = {f"{lanes}_ns": lanes for lanes in LANES}
 
 
 def answers(records: list[dict[str, Any]], found: pd.DataFrame) -> list[Sheet]:
@@ -108,7 +108,7 @@ def _overview(records: list[dict[str, Any]], found: pd.DataFrame, measurement: s
         name=f"overview-{measurement}",
         section=PREDICTION,
         title=f"r over the scenes: {MEASUREMENTS[measurement]}",
-        note=_known(records, measurement),
+        note=times_known(records, measurement),
         frame=frame,
         formats={**dict.fromkeys(("mean", "min", "max"), ".3f"), "worst error": ".0%"},
         help={"worst error": "largest misprediction of any tree by the least-squares line",
@@ -116,11 +116,11 @@ def _overview(records: list[dict[str, Any]], found: pd.DataFrame, measurement: s
     )  # fmt: skip
 
 
-def _known(records: list[dict[str, Any]], measurement: str) -> str:
+def times_known(records: list[dict[str, Any]], measurement: str) -> str:
     """How well the times are known that an r is against; nothing for counted cost."""
-    if measurement not in _LANE_ERRORS:
+    if measurement not in _TIMED:
         return ""
-    error = max(column(record, _LANE_ERRORS[measurement]).max() for record in records)
+    error = worst_time_error(records, _TIMED[measurement])
     return f"Times of a scene's trees are known relative to each other to ±{error:.1%} or better."
 
 
@@ -132,8 +132,8 @@ def _per_scene(records: list[dict[str, Any]], found: pd.DataFrame, measurement: 
     frame["fitted, held out"] = fitted["held_out"]
     frame["α fitted"] = fitted["alpha"]
     frame["α estimated"] = of[of["predictor"] == "estimated"].set_index("scene")["alpha"]
-    if measurement in _LANE_ERRORS:
-        frame["times known to"] = [column(r, _LANE_ERRORS[measurement]).max() for r in records]
+    if measurement in _TIMED:
+        frame["times known to"] = [worst_time_error([r], _TIMED[measurement]) for r in records]
     frame = frame.rename_axis(columns=None).reset_index()
     return Sheet(
         name=f"r-{measurement}",
@@ -172,7 +172,7 @@ def _relative(records: list[dict[str, Any]]) -> list[Sheet]:
 
 def _calibration(records: list[dict[str, Any]]) -> Sheet:
     rows = []
-    for lanes, title in _LANES.items():
+    for lanes, title in LANES.items():
         c = calibrate(records, f"{lanes}_ns")
         rows.append({
             "lanes": title, "ns per inner node": c["ns_per_inner"],
@@ -250,10 +250,10 @@ def _stopwatch(records: list[dict[str, Any]]) -> Sheet:
     rows = []
     for record in records:
         row: dict[str, Any] = {"scene": record["scene"]}
-        for lanes, title in _LANES.items():
+        for lanes, title in LANES.items():
             timing = record["timing"][lanes]
             row[f"{title} rounds"] = timing["rounds"]
-            row[f"{title} worst error"] = column(record, f"{lanes}_error").max()
+            row[f"{title} worst error"] = worst_time_error([record], lanes)
             row[f"{title} same tree twice"] = timing["repeat_difference"]
         if "rotation" in record:
             again = [t["scalar_ns_before"] for t in record["rotation"]["trees"]]
@@ -281,7 +281,7 @@ def _stopwatch(records: list[dict[str, Any]]) -> Sheet:
 def _noise(records: list[dict[str, Any]], found: pd.DataFrame) -> Sheet:
     table = noise_table(records, found)
     frame = pd.DataFrame({"scene": table["scene"].unique()})
-    for lanes, title in _LANES.items():
+    for lanes, title in LANES.items():
         of = table[table["lanes"] == lanes].reset_index()
         frame[f"{title}: r at most"] = of["r_at_most"]
         for name in OF:

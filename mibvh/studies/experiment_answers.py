@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from mibvh.studies.analyse import LANES, worst_time_error
 from mibvh.studies.catalogue import paper_comparison
 from mibvh.studies.claims import claims
 from mibvh.studies.depth import relative_to_best, remaining_relative
-from mibvh.studies.rotation import DEGREES, FACTORS, PAPER, average_alpha, rotation_factors
+from mibvh.studies.rotation import DEGREES, FACTORS, PAPER, average_alphas, rotation_factors
 from mibvh.studies.sensitivity import sensitivity_summary, sensitivity_table
 from mibvh.studies.sheet import Sheet
 
@@ -75,11 +76,9 @@ def claim_answers(records: list[dict[str, Any]], found: pd.DataFrame) -> list[Sh
 
 def _noise(records: list[dict[str, Any]]) -> str:
     """How well the stopwatch knew the times: the worst of all scenes."""
-    errors = [
-        t[name] for r in records for t in r["trees"] for name in ("scalar_error", "simd_error")
-    ]
+    error = max(worst_time_error(records, lanes) for lanes in LANES)
     twice = [abs(t["repeat_difference"]) for r in records for t in r["timing"].values()]
-    return f"±{max(errors):.1%}, and the same tree timed twice differed by up to {max(twice):.1%}"
+    return f"±{error:.1%}, and the same tree timed twice differed by up to {max(twice):.1%}"
 
 
 def experiment_answers(records: list[dict[str, Any]]) -> list[Sheet]:
@@ -160,12 +159,7 @@ def _rotation(records: list[dict[str, Any]]) -> list[Sheet]:
     factors = rotation_factors(records)
     if factors.empty:
         return []
-    note = (
-        "Cost in the turned frame over that in the given one, mean over the {what}; the trees are "
-        "built anew, the rays are the same. Average α: the mean over the scenes of those fitted "
-        f"to counted cost, {average_alpha(records):.2f} with EPO, "
-        f"{average_alpha(records, 'ray lines'):.2f} with the rays' own ends and lines."
-    )
+    alpha, of_lines = average_alphas(records)
     by_scene = factors.groupby("scene", sort=False)[list(FACTORS)].mean()
     mean = by_scene.mean().rename("mean of the scenes")
     paper = pd.Series(PAPER, name="paper").reindex(list(FACTORS))
@@ -182,7 +176,10 @@ def _rotation(records: list[dict[str, Any]]) -> list[Sheet]:
                 name=f"rotation-{what}s",
                 section=TURNING,
                 title=f"What turning costs, per {what}",
-                note=note.replace("{what}", other),
+                note="Cost in the turned frame over that in the given one, mean over the "
+                f"{other}; the trees are built anew, the rays are the same. Average α: the mean "
+                f"over the scenes of those fitted to counted cost, {alpha:.2f} with EPO, "
+                f"{of_lines:.2f} with the rays' own ends and lines.",
                 frame=frame,
                 formats={**dict.fromkeys(FACTORS.values(), ".2f"),
                          "rays that hit the same": ".3%"},

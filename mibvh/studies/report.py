@@ -14,8 +14,8 @@ import pandas as pd
 
 from mibvh.files import atomic_path, write_text
 from mibvh.studies import figures
-from mibvh.studies.analyse import MEASUREMENTS, PREDICTORS, column, overview
-from mibvh.studies.answers import PREDICTION
+from mibvh.studies.analyse import MEASUREMENTS, PREDICTORS, overview, worst_time_error
+from mibvh.studies.answers import PREDICTION, times_known
 from mibvh.studies.experiment_answers import TURNING
 from mibvh.studies.rotation import rotation_factors
 from mibvh.studies.sheet import Sheet
@@ -93,7 +93,7 @@ def write_report(
             for record, of_scene in zip(records, of_scenes, strict=True)
         ],
         headline=_overall(found),
-        noise=max(max(column(record, "scalar_error")) for record in records),
+        times_known=times_known(records, "scalar_ns"),
         prediction=PREDICTION,
         summary=draw("summary", figures.summary(found)),
         turning=TURNING if len(factors) else None,
@@ -116,13 +116,11 @@ class _Draw:
     def __call__(self, name: str, figure: Any) -> list[str]:
         """Write a figure. Returns the SVG of each of its panels, to stand in the page."""
         drawn = figures.svg(figure)
-        for kind in ("svg", "png"):
-            self.written.append(f"figures/{name}.{kind}")
-            with atomic_path(self._folder / self.written[-1]) as path:
-                if kind == "svg":
-                    path.write_text(drawn.replace("currentColor", "#222"), encoding="utf-8")
-                else:
-                    path.write_bytes(figures.png(figure))
+        files = [f"figures/{name}.{kind}" for kind in ("svg", "png")]
+        write_text(self._folder / files[0], drawn.replace("currentColor", "#222"))
+        with atomic_path(self._folder / files[1]) as path:
+            path.write_bytes(figures.png(figure))
+        self.written += files
         return figures.panels(drawn)
 
 
@@ -182,7 +180,7 @@ def _of_scene(record: dict[str, Any], found: pd.DataFrame) -> list[tuple[str, st
     """Of each measurement: its name, r of SAH, r with EPO (α fitted), and how well it is known."""
     r = found.set_index(["measurement", "predictor"])["pearson"]
     known = {
-        f"{lanes}_ns": f"times ±{column(record, f'{lanes}_error').max():.1%}"
+        f"{lanes}_ns": f"times ±{worst_time_error([record], lanes):.1%}"
         for lanes in record["timing"]
     }
     return [

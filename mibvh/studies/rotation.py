@@ -12,7 +12,6 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from mibvh.metrics.predictor import FIXED_ALPHAS, finite_ray_cost, predict
@@ -167,13 +166,18 @@ def _same_hits(frames: list[tuple[Scene, RaySet, list[Tree]]]) -> float:
 # ------------------------------------------------------------------ answers
 
 
-def average_alpha(
-    records: list[dict[str, Any]], predictor: str = "fitted", measurement: str = "counted_cost"
-) -> float:
-    """Mean over the scenes of the alpha fitted for a predictor; NaN where none can be fitted."""
-    fitted = [predictors(record, measurement)[predictor][0] for record in records]
-    fitted = [a for a in fitted if np.isfinite(a)]
-    return float(np.mean(fitted)) if fitted else float("nan")
+def average_alphas(records: list[dict[str, Any]]) -> tuple[float, float]:
+    """Mean over the scenes of the alphas fitted to counted cost; NaN where none can be fitted.
+
+    Returns
+    -------
+    fitted, ray_lines : float
+        Of the predictors of those names.
+    """
+    found = [predictors(record, "counted_cost") for record in records]
+    fitted = pd.DataFrame([[f[name][0] for name in ("fitted", "ray lines")] for f in found])
+    alpha, of_lines = fitted.mean()  # of the scenes that have one
+    return float(alpha), float(of_lines)
 
 
 def rotation_factors(records: list[dict[str, Any]]) -> pd.DataFrame:
@@ -188,7 +192,7 @@ def rotation_factors(records: list[dict[str, Any]]) -> pd.DataFrame:
         One row per scene and builder: ``scene, builder``, and a column per key of
         :data:`FACTORS`; empty where no scene was turned. NaN where the unturned cost is zero.
     """
-    alpha, of_lines = (average_alpha(records, name) for name in ("fitted", "ray lines"))
+    alpha, of_lines = average_alphas(records)
     rows = []
     for record in records:
         if "rotation" not in record:

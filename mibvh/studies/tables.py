@@ -117,10 +117,12 @@ def tidy_table(records: list[dict[str, Any]]) -> pd.DataFrame:
             "variant": environment["variant"], "lane_width": environment["lane_width"],
             "cpu": environment["cpu"], "threads": environment["threads"],
         }  # fmt: skip
+        own_rays = _rays(r, r["timing"])
+        turned_rays = _rays(r, {"scalar": r["rotation"]["timing"]}) if "rotation" in r else {}
         for place, what, values in _measured(r):
             tree = r["trees"][place]
             max_leaf = what.get("max_leaf", tree["options"]["max_leaf"])
-            rays = _rays(r, "rotation" if what.get("experiment") == "rotation" else "")
+            rays = turned_rays if what.get("experiment") == "rotation" else own_rays
             for name, unit in UNITS.items():
                 if name in values:
                     rows.append({
@@ -135,9 +137,8 @@ def tidy_table(records: list[dict[str, Any]]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _rays(record: dict[str, Any], turned: str) -> dict[str, int]:
-    """How many rays the measurements of a scene are of."""
-    timing = {"scalar": record["rotation"]["timing"]} if turned else record["timing"]
+def _rays(record: dict[str, Any], timing: dict[str, Any]) -> dict[str, int]:
+    """How many rays the measurements of a scene are of, those of each lane mode as timed."""
     count = record["rays"]["count"]
     return {
         "all": count,
@@ -163,15 +164,12 @@ def _measured(record: dict[str, Any]) -> Iterator[tuple[int, dict[str, Any], dic
         for what, values in _cuts(tree):
             yield place, what, values
     # The first tree is timed a second time under another name.
-    yield (
-        0,
-        {},
-        {
-            f"{lanes}_ns_again": record["trees"][0][f"{lanes}_ns"]
-            * (1 + timing["repeat_difference"])
-            for lanes, timing in record["timing"].items()
-        },
-    )
+    first = record["trees"][0]
+    again = {
+        f"{lanes}_ns_again": first[f"{lanes}_ns"] * (1 + timing["repeat_difference"])
+        for lanes, timing in record["timing"].items()
+    }
+    yield 0, {}, again
     if rotation := record.get("rotation"):
         what = {"experiment": "rotation", "rotation": rotation["degrees"],
                 "digest": rotation["digest"]}  # fmt: skip

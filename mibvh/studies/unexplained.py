@@ -13,10 +13,9 @@ import numpy as np
 import pandas as pd
 
 from mibvh.metrics.predictor import pearson
-from mibvh.studies.analyse import column
+from mibvh.studies.analyse import LANES, column
 from mibvh.triangles import F64
 
-LANES = ("scalar", "simd")
 #: Predictors of which it is said how much of what they miss is noise.
 OF = ("SAH", "fitted", "finite rays")
 
