@@ -319,8 +319,8 @@ def study(
     from mibvh import StudyOptions
     from mibvh import study as run
     from mibvh.studies import EXPERIMENTS, PROFILES
-    from mibvh.studies.board import Board
-    from mibvh.studies.catalogue import scenes_in
+    from mibvh.studies.report.board import Board
+    from mibvh.studies.paper.catalogue import scenes_in
 
     if profile not in PROFILES:
         raise MibvhError(f"--profile is one of {', '.join(PROFILES)}, not {profile!r}")
@@ -348,8 +348,8 @@ def study(
 
 
 def _print_study(result: Any) -> None:
-    from mibvh.studies.analyse import overview
-    from mibvh.studies.answers import COLUMNS, MAIN
+    from mibvh.studies.analyse.correlations import overview
+    from mibvh.studies.report.tables import COLUMNS, MAIN
 
     # A pipe has no width; 80 columns would cut the names.
     console = Console(width=None if sys.stdout.isatty() else 160)
@@ -435,7 +435,7 @@ def scenes_paper(as_json: Json = False) -> None:
     """List the paper's own scenes: where each is to be had, and what was published of it."""
     import dataclasses
 
-    from mibvh.studies.catalogue import PAPER_SCENES, paper_scenes
+    from mibvh.studies.paper.catalogue import PAPER_SCENES, paper_scenes
 
     known = paper_scenes()
     if as_json:

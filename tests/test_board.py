@@ -5,8 +5,8 @@ import json
 
 import pytest
 
-from mibvh.studies import board
-from mibvh.studies.board import Board
+from mibvh.studies.report import board
+from mibvh.studies.report.board import Board
 
 STEPS = [("one", "rays", 0.0), ("one", "build bbvh", 0.25), ("one", "time scalar", 0.5),
          ("one", "done", 1.0), ("two", "count lbvh", 0.5), ("two", "done", 1.0)]  # fmt: skip

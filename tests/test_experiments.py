@@ -9,17 +9,17 @@ import pytest
 from conftest import soup
 
 import mibvh
-from mibvh.studies import rotation
-from mibvh.studies.answers import answers
-from mibvh.studies.catalogue import (
+from mibvh.studies.measure import rotation
+from mibvh.studies.report.tables import answers
+from mibvh.studies.paper.catalogue import (
     find_paper_scene,
     paper_comparison,
     paper_scenes,
     scenes_in,
     triangle_count_notes,
 )
-from mibvh.studies.claims import claims
-from mibvh.studies.depth import (
+from mibvh.studies.paper.claims import claims
+from mibvh.studies.measure.depth import (
     SPLITS,
     relative_to_best,
     remaining_after_splits,
@@ -27,7 +27,7 @@ from mibvh.studies.depth import (
     remaining_relative,
     worst_cases,
 )
-from mibvh.studies.tables import tidy_table
+from mibvh.studies.report.tidy import tidy_table
 
 CHOICES = {"width": 24, "height": 16, "scalar_rays": 256, "seconds": 0.0,
            "builders": ("bbvh", "sbvh", "lbvh")}  # fmt: skip
@@ -76,7 +76,7 @@ def test_again_recomputes_nothing(full, cornell, monkeypatch):
                  "run.diffuse_rays", "rotation.measure", "rotation.make_records",
                  "sensitivity.finish", "sensitivity.diffuse_rays",
                  "sensitivity.counted_costs"):  # fmt: skip
-        monkeypatch.setattr(f"mibvh.studies.{name}", fail)
+        monkeypatch.setattr(f"mibvh.study.{name}", fail)
     again = mibvh.study([cornell], full[2].folder, experiments=ALL, **CHOICES)
     assert again.rotation.equals(full[2].rotation)
     assert again.sensitivity.equals(full[2].sensitivity)

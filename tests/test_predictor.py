@@ -16,7 +16,7 @@ from mibvh.metrics.predictor import (
     predict,
 )
 from mibvh.metrics.sah import node_costs
-from mibvh.studies.analyse import calibrate, pool
+from mibvh.studies.analyse.correlations import calibrate, pool
 
 
 def test_fit_alpha_recovers_the_mixture():

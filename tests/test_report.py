@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mibvh.studies.figures import panels
+from mibvh.studies.report.plots import panels
 from mibvh.studies.sheet import Sheet
 
 SHEET = Sheet(

@@ -9,10 +9,10 @@ import pytest
 from conftest import soup
 
 import mibvh
-from mibvh.studies.pieces import RayCounter
+from mibvh.studies.measure.trees import RayCounter
 from mibvh.studies.run import read_study, write_outputs
-from mibvh.studies.stopwatch import Timings, measure
-from mibvh.studies.store import Store
+from mibvh.studies.measure.stopwatch import Timings, measure
+from mibvh.studies.measure.store import Store
 
 CHOICES = {"width": 24, "height": 16, "scalar_rays": 512, "seconds": 0.0}
 
@@ -91,7 +91,7 @@ def test_again_recomputes_nothing_and_report_remakes(finished, cornell, monkeypa
     before = {p: p.stat().st_mtime_ns for p in (study.folder / "cache").glob("t*")}
     for name in ("pieces.build", "pieces.measure", "run.diffuse_rays", "pieces.Tracer",
                  "pieces.overlap"):  # fmt: skip
-        monkeypatch.setattr(f"mibvh.studies.{name}", lambda *_, name=name, **__: pytest.fail(name))
+        monkeypatch.setattr(f"mibvh.study.{name}", lambda *_, name=name, **__: pytest.fail(name))
     again = mibvh.study([cornell], study.folder, builders=("bbvh", "lbvh", "treewise"), **CHOICES)
     assert again.table.equals(study.table)
     assert again.scenes[0]["seconds"] == study.scenes[0]["seconds"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mibvh.metrics.predictor import pearson
-from mibvh.studies.unexplained import noise_share, reliability, simd_deviation
+from mibvh.studies.analyse.noise import noise_share, reliability, simd_deviation
 
 
 def test_reliability_tells_the_correlation_that_noise_leaves():

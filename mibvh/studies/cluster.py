@@ -20,7 +20,7 @@ from mibvh.bundled import cache_folder
 from mibvh.errors import MibvhError
 from mibvh.scene import load
 from mibvh.studies.options import StudyOptions
-from mibvh.studies.store import Store
+from mibvh.studies.measure.store import Store
 
 #: What a worker offers to be given scenes, and how one is started.
 RESOURCE = "mibvh"

@@ -17,13 +17,13 @@ from mibvh.errors import MibvhError
 from mibvh.files import write_text
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene, load
-from mibvh.studies.catalogue import scenes_in, triangle_count_notes
-from mibvh.studies.depth import depth_experiment, depth_table
+from mibvh.studies.paper.catalogue import scenes_in, triangle_count_notes
+from mibvh.studies.measure.depth import depth_experiment, depth_table
 from mibvh.studies.options import StudyOptions
-from mibvh.studies.pieces import RayCounter, cameras, report_part, study_tree, times
-from mibvh.studies.rotation import rotation_experiment, rotation_factors
-from mibvh.studies.sensitivity import sensitivity_experiment, sensitivity_table
-from mibvh.studies.store import Store, key_of
+from mibvh.studies.measure.trees import RayCounter, cameras, report_part, study_tree, times
+from mibvh.studies.measure.rotation import rotation_experiment, rotation_factors
+from mibvh.studies.measure.sensitivity import sensitivity_experiment, sensitivity_table
+from mibvh.studies.measure.store import Store, key_of
 from mibvh.tree import Tree
 from mibvh.variant import give_back_memory
 
@@ -73,30 +73,30 @@ class Study:
     @functools.cached_property
     def table(self) -> pd.DataFrame:
         """One row per scene and tree."""
-        from mibvh.studies.tables import wide_table
+        from mibvh.studies.report.tidy import wide_table
 
         return wide_table(self.scenes)
 
     @functools.cached_property
     def correlations(self) -> pd.DataFrame:
         """One row per scene, measurement and predictor."""
-        from mibvh.studies.analyse import correlations
+        from mibvh.studies.analyse.correlations import correlations
 
         return correlations(self.scenes)
 
     @functools.cached_property
     def rotation(self) -> pd.DataFrame:
-        """By what turning raises costs; see :func:`mibvh.studies.rotation.rotation_factors`."""
+        """By what turning raises costs; see :func:`mibvh.studies.measure.rotation.rotation_factors`."""
         return rotation_factors(self.scenes)
 
     @functools.cached_property
     def sensitivity(self) -> pd.DataFrame:
-        """Other choices; see :func:`mibvh.studies.sensitivity.sensitivity_table`."""
+        """Other choices; see :func:`mibvh.studies.measure.sensitivity.sensitivity_table`."""
         return sensitivity_table(self.scenes)
 
     @functools.cached_property
     def depth(self) -> pd.DataFrame:
-        """Where in the trees cost and overlap sit; see :func:`mibvh.studies.depth.depth_table`."""
+        """Where in the trees cost and overlap sit; see :func:`mibvh.studies.measure.depth.depth_table`."""
         return depth_table(self.scenes)
 
     @property
@@ -198,8 +198,8 @@ def study_scene(
         timed twice under two names, differed), ``trees`` (one dict per builder: metrics,
         counters, times and their relative errors), ``options``, ``seconds`` (what each stage
         took, in the runs that its pieces were made in), and, where those experiments were asked
-        for, ``rotation`` (see :func:`~mibvh.studies.rotation.rotation_experiment`) and
-        ``sensitivity`` (see :func:`~mibvh.studies.sensitivity.sensitivity_experiment`).
+        for, ``rotation`` (see :func:`~mibvh.studies.measure.rotation.rotation_experiment`) and
+        ``sensitivity`` (see :func:`~mibvh.studies.measure.sensitivity.sensitivity_experiment`).
     """
     triangles = scene.triangles
     report = functools.partial(progress, scene.name)
@@ -297,10 +297,10 @@ def write_outputs(folder: Path, records: list[dict[str, Any]]) -> None:
 
     Tables and figures of an earlier run that are not among those of this one are removed.
     """
-    from mibvh.studies.analyse import correlations
-    from mibvh.studies.answers import answers, scene_answers
-    from mibvh.studies.report import write_report
-    from mibvh.studies.tables import write_sheets, write_tables
+    from mibvh.studies.analyse.correlations import correlations
+    from mibvh.studies.report.tables import answers, scene_answers
+    from mibvh.studies.report.html import write_report
+    from mibvh.studies.report.tidy import write_sheets, write_tables
 
     found = correlations(records)
     sheets = answers(records, found)

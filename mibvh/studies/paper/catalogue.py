@@ -59,7 +59,7 @@ class PaperScene:
 @functools.cache
 def paper_scenes() -> tuple[PaperScene, ...]:
     """Return the catalogue, in alphabetical order."""
-    text = Path(__file__).with_name("paper_scenes.toml").read_text(encoding="utf-8")
+    text = Path(__file__).with_name("published.toml").read_text(encoding="utf-8")
     entries = tomllib.loads(text)["scene"]
     return tuple(PaperScene(**{**e, "files": tuple(e.get("files", ()))}) for e in entries)
 
@@ -127,7 +127,7 @@ def paper_comparison(records: Sequence[dict[str, Any]], found: pd.DataFrame) -> 
     records : list of dict
         A study's scenes.
     found : DataFrame
-        From :func:`mibvh.studies.analyse.correlations`.
+        From :func:`mibvh.studies.analyse.correlations.correlations`.
 
     Returns
     -------

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mibvh.studies.analyse import overview, relative_to
-from mibvh.studies.depth import relative_to_best, remaining_relative
-from mibvh.studies.rotation import PAPER as PAPER_ROTATION
-from mibvh.studies.rotation import rotation_factors
-from mibvh.studies.unexplained import simd_deviation
+from mibvh.studies.analyse.correlations import overview, relative_to
+from mibvh.studies.measure.depth import relative_to_best, remaining_relative
+from mibvh.studies.measure.rotation import PAPER as PAPER_ROTATION
+from mibvh.studies.measure.rotation import rotation_factors
+from mibvh.studies.analyse.noise import simd_deviation
 
 #: EPO relative to lbvh, mean over the paper's scenes.
 PAPER_EPO = {"agglo": 1.07, "anneal": 0.81, "treelet": 0.52, "bbvh": 0.46, "bittner": 0.45,
@@ -71,7 +71,7 @@ def claims(records: list[dict[str, Any]], found: pd.DataFrame) -> pd.DataFrame:
     records : list of dict
         A study's scenes.
     found : DataFrame
-        From :func:`mibvh.studies.analyse.correlations`.
+        From :func:`mibvh.studies.analyse.correlations.correlations`.
 
     Returns
     -------

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from mibvh.metrics.predictor import pearson
-from mibvh.studies.analyse import LANES, column
+from mibvh.studies.analyse.correlations import LANES, column
 from mibvh.triangles import F64
 
 #: Predictors of which it is said how much of what they miss is noise.
@@ -60,7 +60,7 @@ def noise_table(records: list[dict[str, Any]], found: pd.DataFrame) -> pd.DataFr
     records : list of dict
         A study's scenes.
     found : DataFrame
-        From :func:`mibvh.studies.analyse.correlations`.
+        From :func:`mibvh.studies.analyse.correlations.correlations`.
 
     Returns
     -------

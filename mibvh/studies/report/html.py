@@ -13,11 +13,11 @@ import numpy as np
 import pandas as pd
 
 from mibvh.files import atomic_path, write_text
-from mibvh.studies import figures
-from mibvh.studies.analyse import MEASUREMENTS, PREDICTORS, overview, worst_time_error
-from mibvh.studies.answers import PREDICTION, times_known
-from mibvh.studies.experiment_answers import TURNING
-from mibvh.studies.rotation import rotation_factors
+from mibvh.studies.report import plots as figures
+from mibvh.studies.analyse.correlations import MEASUREMENTS, PREDICTORS, overview, worst_time_error
+from mibvh.studies.report.tables import PREDICTION, times_known
+from mibvh.studies.report.experiment_tables import TURNING
+from mibvh.studies.measure.rotation import rotation_factors
 from mibvh.studies.sheet import Sheet
 
 #: Figures of a scene: file name, what to say below it.
@@ -45,7 +45,7 @@ def _template() -> Any:
     import jinja2
 
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("mibvh.studies", "templates"),
+        loader=jinja2.PackageLoader("mibvh.studies.report", "templates"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -69,11 +69,11 @@ def write_report(
     records : list of dict
         One per scene.
     found : DataFrame
-        From :func:`mibvh.studies.analyse.correlations`.
+        From :func:`mibvh.studies.analyse.correlations.correlations`.
     sheets : list of Sheet
-        Over the scenes; see :func:`mibvh.studies.answers.answers`.
+        Over the scenes; see :func:`mibvh.studies.report.tables.answers`.
     of_scenes : list of list of Sheet
-        Of each scene; see :func:`mibvh.studies.answers.scene_answers`.
+        Of each scene; see :func:`mibvh.studies.report.tables.scene_answers`.
 
     Returns
     -------

@@ -20,8 +20,8 @@ from mibvh.metrics.sah import sah
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene
 from mibvh.studies.options import StudyOptions
-from mibvh.studies.pieces import cameras, costs_by_origin, counted_costs, report_part
-from mibvh.studies.store import Store, key_of
+from mibvh.studies.measure.trees import cameras, costs_by_origin, counted_costs, report_part
+from mibvh.studies.measure.store import Store, key_of
 from mibvh.traversal.records import unit_scale
 from mibvh.traversal.trace import Tracer
 from mibvh.tree import Tree

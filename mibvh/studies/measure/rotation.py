@@ -17,9 +17,9 @@ import pandas as pd
 from mibvh.metrics.predictor import FIXED_ALPHAS, finite_ray_cost, predict
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
-from mibvh.studies.analyse import predictors
+from mibvh.studies.analyse.correlations import predictors
 from mibvh.studies.options import StudyOptions
-from mibvh.studies.pieces import (
+from mibvh.studies.measure.trees import (
     RayCounter,
     launch,
     portions,
@@ -27,8 +27,8 @@ from mibvh.studies.pieces import (
     study_tree,
     timed_rays,
 )
-from mibvh.studies.stopwatch import measure
-from mibvh.studies.store import Store, key_of
+from mibvh.studies.measure.stopwatch import measure
+from mibvh.studies.measure.store import Store, key_of
 from mibvh.traversal.records import make_records, unit_scale
 from mibvh.traversal.trace import Tracer
 from mibvh.tree import Tree

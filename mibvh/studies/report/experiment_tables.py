@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mibvh.studies.analyse import LANES, worst_time_error
-from mibvh.studies.catalogue import paper_comparison
-from mibvh.studies.claims import claims
-from mibvh.studies.depth import relative_to_best, remaining_relative
-from mibvh.studies.rotation import DEGREES, FACTORS, PAPER, average_alphas, rotation_factors
-from mibvh.studies.sensitivity import sensitivity_summary, sensitivity_table
+from mibvh.studies.analyse.correlations import LANES, worst_time_error
+from mibvh.studies.paper.catalogue import paper_comparison
+from mibvh.studies.paper.claims import claims
+from mibvh.studies.measure.depth import relative_to_best, remaining_relative
+from mibvh.studies.measure.rotation import DEGREES, FACTORS, PAPER, average_alphas, rotation_factors
+from mibvh.studies.measure.sensitivity import sensitivity_summary, sensitivity_table
 from mibvh.studies.sheet import Sheet
 
 #: The section of the rotation experiment.
@@ -35,7 +35,7 @@ def claim_answers(records: list[dict[str, Any]], found: pd.DataFrame) -> list[Sh
     records : list of dict
         A study's scenes.
     found : DataFrame
-        From :func:`mibvh.studies.analyse.correlations`.
+        From :func:`mibvh.studies.analyse.correlations.correlations`.
     """
     sheets = [
         Sheet(

@@ -19,8 +19,8 @@ from mibvh.metrics.sah import node_costs, sah, sah_per_node
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
 from mibvh.studies.options import StudyOptions
-from mibvh.studies.stopwatch import measure
-from mibvh.studies.store import Store, key_of
+from mibvh.studies.measure.stopwatch import measure
+from mibvh.studies.measure.store import Store, key_of
 from mibvh.traversal.records import Records, make_records, unit_scale
 from mibvh.traversal.trace import Hits, Tracer
 from mibvh.tree import Tree

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mibvh.studies.analyse import (
+from mibvh.studies.analyse.correlations import (
     LANES,
     MEASUREMENTS,
     PREDICTORS,
@@ -20,10 +20,10 @@ from mibvh.studies.analyse import (
     sensitivity,
     worst_time_error,
 )
-from mibvh.studies.claims import PAPER_EPO
-from mibvh.studies.experiment_answers import claim_answers, experiment_answers
+from mibvh.studies.paper.claims import PAPER_EPO
+from mibvh.studies.report.experiment_tables import claim_answers, experiment_answers
 from mibvh.studies.sheet import Sheet
-from mibvh.studies.unexplained import OF, noise_table, simd_deviation
+from mibvh.studies.analyse.noise import OF, noise_table, simd_deviation
 
 #: The section that the figure of all correlations stands in.
 PREDICTION = "How well cost is predicted"
@@ -77,7 +77,7 @@ def answers(records: list[dict[str, Any]], found: pd.DataFrame) -> list[Sheet]:
     records : list of dict
         One per scene.
     found : DataFrame
-        From :func:`mibvh.studies.analyse.correlations`.
+        From :func:`mibvh.studies.analyse.correlations.correlations`.
     """
     return [
         *claim_answers(records, found),

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from mibvh.metrics.predictor import pearson
 from mibvh.plot.marks import STYLE, builder_colour, depth_curves, named_points
-from mibvh.studies.analyse import MEASUREMENTS, column, predictors
+from mibvh.studies.analyse.correlations import MEASUREMENTS, column, predictors
 
 #: Stands for "the text colour of the page" until the figure is in it.
 _INK = "#123457"
@@ -151,7 +151,7 @@ def predicted_measured(record: dict[str, Any], measurement: str) -> Figure:
     record : dict
         A scene's record.
     measurement : str
-        A key of :data:`mibvh.studies.analyse.MEASUREMENTS`.
+        A key of :data:`mibvh.studies.analyse.correlations.MEASUREMENTS`.
     """
     measured = column(record, measurement)
     both = predictors(record, measurement)
@@ -237,7 +237,7 @@ def rotation(factors: pd.DataFrame) -> Figure:
     Parameters
     ----------
     factors : DataFrame
-        From :func:`mibvh.studies.rotation.rotation_factors`.
+        From :func:`mibvh.studies.measure.rotation.rotation_factors`.
     """
     builders = list(dict.fromkeys(factors["builder"]))
     with style():
@@ -266,7 +266,7 @@ def summary(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table : DataFrame
-        From :func:`mibvh.studies.analyse.correlations`.
+        From :func:`mibvh.studies.analyse.correlations.correlations`.
     """
     names = list(dict.fromkeys(table["predictor"]))
     shown = table[table["pearson"].notna()]

@@ -10,8 +10,8 @@ from typing import Any
 import pandas as pd
 
 from mibvh.files import atomic_path, write_text
-from mibvh.studies.depth import SPLITS
-from mibvh.studies.pieces import LINES
+from mibvh.studies.measure.depth import SPLITS
+from mibvh.studies.measure.trees import LINES
 from mibvh.studies.sheet import Sheet
 
 #: Measurements of a tree and their units, in the order of the tables.
