@@ -301,7 +301,7 @@ def study(
     builders: Annotated[str, typer.Option(help="names, comma-separated; all by default")] = "",
     profile: Annotated[str, typer.Option(help="quick or paper")] = "quick",
     experiments: Annotated[
-        str, typer.Option(help="of prediction, depth, rotation, sensitivity; or all")
+        str, typer.Option(help="names from `mibvh experiments`, comma-separated; or all")
     ] = "",
     seconds: Annotated[float | None, typer.Option(help="stopwatch budget per lane mode")] = None,
     samples: Annotated[
@@ -318,9 +318,9 @@ def study(
     """Build, measure, predict and report, for scenes and builders."""
     from mibvh import StudyOptions
     from mibvh import study as run
-    from mibvh.studies import EXPERIMENTS, PROFILES
-    from mibvh.studies.report.board import Board
+    from mibvh.studies import PROFILES
     from mibvh.studies.paper.catalogue import scenes_in
+    from mibvh.studies.report.board import Board
 
     if profile not in PROFILES:
         raise MibvhError(f"--profile is one of {', '.join(PROFILES)}, not {profile!r}")
@@ -332,8 +332,7 @@ def study(
     }
     named = _names(builders)
     if experiments:
-        asked = _names(experiments)
-        choices["experiments"] = tuple(EXPERIMENTS) if asked == ("all",) else asked
+        choices["experiments"] = _names(experiments)
     sources = [str(part) for source in scenes for part in scenes_in(source)]
     options = StudyOptions(builders=named, **choices)
     with Board(len(sources), as_json) as board:
@@ -349,14 +348,14 @@ def study(
 
 def _print_study(result: Any) -> None:
     from mibvh.studies.analyse.correlations import overview
-    from mibvh.studies.report.tables import COLUMNS, MAIN
+    from mibvh.studies.record.quantities import columns
 
     # A pipe has no width; 80 columns would cut the names.
     console = Console(width=None if sys.stdout.isatty() else 160)
-    shown = [c for c in COLUMNS if c[0] in MAIN]
-    table = Table("scene", "triangles", "builder", *(title for _, title, _, _ in shown), box=None)
+    shown = columns(main=True)
+    table = Table("scene", "triangles", "builder", *(q.heading for q in shown), box=None)
     for _, row in result.table.iterrows():
-        cells = [format(row[key], form) for key, _, form, _ in shown]
+        cells = [format(row[quantity.name], quantity.format) for quantity in shown]
         table.add_row(row["scene"], f"{row['triangles']:,}", row["builder"], *cells)
     console.print(table)
     console.print()
@@ -393,6 +392,33 @@ def builders(as_json: Json = False) -> None:
     for entry in described:
         own = [f"{k} ({v['default']})" for k, v in entry["options"].items()]
         table.add_row(entry["name"], entry["summary"], entry["source"], ", ".join(own))
+    Console().print(table)
+
+
+@app.command()
+def experiments(as_json: Json = False) -> None:
+    """List the experiments of a study, and what each adds."""
+    from mibvh.studies import EXPERIMENTS
+
+    if as_json:
+        listed = [{"name": name, "summary": summary} for name, summary in EXPERIMENTS.items()]
+        typer.echo(json.dumps({"experiments": listed}))
+        return
+    _print(EXPERIMENTS, False)
+
+
+@app.command()
+def predictors(as_json: Json = False) -> None:
+    """List the predictors of cost, their formulas and free parameters."""
+    from mibvh.metrics.predictors import predictors as known
+
+    if as_json:
+        listed = [{"name": p.name, "formula": p.formula, "free": p.free} for p in known()]
+        typer.echo(json.dumps({"predictors": listed}))
+        return
+    table = Table("predictor", "formula", "free parameters", box=None)
+    for one in known():
+        table.add_row(one.name, one.formula, one.free)
     Console().print(table)
 
 
@@ -435,9 +461,9 @@ def scenes_paper(as_json: Json = False) -> None:
     """List the paper's own scenes: where each is to be had, and what was published of it."""
     import dataclasses
 
-    from mibvh.studies.paper.catalogue import PAPER_SCENES, paper_scenes
+    from mibvh.studies.paper.published import published
 
-    known = paper_scenes()
+    known = published().known_scenes
     if as_json:
         typer.echo(json.dumps({"scenes": [dataclasses.asdict(scene) for scene in known]}))
         return
@@ -450,8 +476,8 @@ def scenes_paper(as_json: Json = False) -> None:
         )  # fmt: skip
     Console().print(table)
     typer.echo(
-        f"\nThe slides name {len(known)} of the {PAPER_SCENES} scenes; what is not known is left "
-        "out.\nTriangles are those of the file that is to be had; the paper's own may differ."
+        f"\nThe slides name {len(known)} of the {published().scenes} scenes; what is not known is "
+        "left out.\nTriangles are those of the file that is to be had; the paper's own may differ."
     )
 
 

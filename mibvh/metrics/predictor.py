@@ -180,12 +180,29 @@ def fitted_combination(
     (K,) float64
         The combination's values, on the measurement's scale.
     """
-    from scipy import optimize  # a second to import
-
     y = np.asarray(measured, np.float64)
     x = np.stack([np.asarray(c, np.float64) for c in columns], axis=1)
-    weights, _ = optimize.nnls(x - x.mean(axis=0), y - y.mean())
-    return (x - x.mean(axis=0)) @ weights + y.mean()
+    return (x - x.mean(axis=0)) @ combination_weights(x, y) + y.mean()
+
+
+def combination_weights(
+    columns: npt.NDArray[np.float64], measured: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Weights of that combination: least squares beside a constant, no weight negative.
+
+    Parameters
+    ----------
+    columns : (K, C) array
+    measured : (K,) array
+
+    Returns
+    -------
+    (C,) float64
+    """
+    from scipy import optimize  # a second to import
+
+    weights, _ = optimize.nnls(columns - columns.mean(axis=0), measured - measured.mean())
+    return np.asarray(weights)
 
 
 def bootstrap_interval(

@@ -7,17 +7,19 @@ root than with times known exactly (Spearman's correction for attenuation).
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 
 from mibvh.metrics.predictor import pearson
-from mibvh.studies.analyse.correlations import LANES, column
+from mibvh.metrics.predictors import predictors
+from mibvh.studies.analyse.correlations import LANES, SCALAR, SIMD
+from mibvh.studies.record.scene import Records
 from mibvh.triangles import F64
 
-#: Predictors of which it is said how much of what they miss is noise.
-OF = ("SAH", "fitted", "finite rays")
+
+def headline_predictors() -> list[str]:
+    """Return the predictors of which it is said how much of what they miss is noise."""
+    return [one.name for one in predictors() if one.headline]
 
 
 def reliability(values: F64, errors: F64) -> float:
@@ -52,13 +54,12 @@ def noise_share(r: float, reliable: float) -> float:
     return (explained - r * r) / (1 - r * r) if r * r < 1 else 0.0
 
 
-def noise_table(records: list[dict[str, Any]], found: pd.DataFrame) -> pd.DataFrame:
+def noise_table(records: Records, found: pd.DataFrame) -> pd.DataFrame:
     """How much of what predictors miss of times is the stopwatch's noise.
 
     Parameters
     ----------
-    records : list of dict
-        A study's scenes.
+    records : sequence of SceneRecord
     found : DataFrame
         From :func:`mibvh.studies.analyse.correlations.correlations`.
 
@@ -67,22 +68,30 @@ def noise_table(records: list[dict[str, Any]], found: pd.DataFrame) -> pd.DataFr
     DataFrame
         Per scene and lane mode ``scene, lanes``, ``r_at_most`` (the greatest that r can be
         expected to be with this noise, the square root of the reliability), and the share of the
-        unexplained variance that is noise for each predictor of :data:`OF`.
+        unexplained variance that is noise for each of :func:`headline_predictors`.
     """
     r = found.set_index(["scene", "measurement", "predictor"])["pearson"]
     rows = []
     for record in records:
         for lanes in LANES:
-            ns = column(record, f"{lanes}_ns")
-            reliable = reliability(ns, ns * column(record, f"{lanes}_error"))
-            rows.append({
-                "scene": record["scene"], "lanes": lanes, "r_at_most": float(np.sqrt(reliable)),
-                **{n: noise_share(r[record["scene"], f"{lanes}_ns", n], reliable) for n in OF},
-            })  # fmt: skip
+            ns = record.column(lanes.ns)
+            reliable = reliability(ns, ns * record.column(lanes.error))
+            shares = {
+                name: noise_share(r[record.scene, lanes.ns, name], reliable)
+                for name in headline_predictors()
+            }
+            rows.append(
+                {
+                    "scene": record.scene,
+                    "lanes": lanes.key,
+                    "r_at_most": float(np.sqrt(reliable)),
+                    **shares,
+                }
+            )
     return pd.DataFrame(rows)
 
 
-def simd_deviation(records: list[dict[str, Any]]) -> pd.DataFrame:
+def simd_deviation(records: Records) -> pd.DataFrame:
     """How SIMD time per ray departs from scalar time, and how much of that LCV explains.
 
     A tree's deviation is the logarithm of SIMD over scalar time, less the mean over the scene's
@@ -97,12 +106,17 @@ def simd_deviation(records: list[dict[str, Any]]) -> pd.DataFrame:
     """
     rows = []
     for record in records:
-        ratio = np.log(column(record, "simd_ns") / column(record, "scalar_ns"))
+        ratio = np.log(record.column(SIMD.ns) / record.column(SCALAR.ns))
         deviation = ratio - ratio.mean()
-        r = pearson(column(record, "lcv"), deviation)
-        error = np.hypot(column(record, "simd_error"), column(record, "scalar_error"))
-        rows.append({
-            "scene": record["scene"], "deviation": float(np.abs(deviation).mean()), "r": r,
-            "explained": r * abs(r), "noise": 1 - reliability(deviation, error),
-        })  # fmt: skip
+        r = pearson(record.column("lcv"), deviation)
+        error = np.hypot(record.column(SIMD.error), record.column(SCALAR.error))
+        rows.append(
+            {
+                "scene": record.scene,
+                "deviation": float(np.abs(deviation).mean()),
+                "r": r,
+                "explained": r * abs(r),
+                "noise": 1 - reliability(deviation, error),
+            }
+        )
     return pd.DataFrame(rows)

@@ -7,18 +7,49 @@ finished tree, with what is below the cut taken as leaves, shows how soon it get
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import heapq
-from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from mibvh.metrics.sah import sah_per_node
+from mibvh.studies.measure.pieces import kept
+from mibvh.studies.measure.setting import Setting
+from mibvh.studies.measure.store import key_of
+from mibvh.studies.record.progress import Reporter
+from mibvh.studies.record.scene import Result
 from mibvh.tree import Tree
 from mibvh.triangles import F64
 
 #: Numbers of splits after which the worst case is taken: complete trees of 1, 2, ... levels.
 SPLITS = tuple(2**level - 1 for level in range(13))
+
+
+@dataclasses.dataclass(frozen=True)
+class Cuts:
+    """A tree cut at each depth, and after some numbers of splits.
+
+    Attributes
+    ----------
+    nodes_by_depth : list of int
+    spent_by_depth, remaining_by_depth : list of float
+        See :func:`remaining_by_depth`.
+    remaining_after_splits : list of float
+        See :func:`remaining_after_splits`.
+    """
+
+    nodes_by_depth: list[int]
+    spent_by_depth: list[float]
+    remaining_by_depth: list[float]
+    remaining_after_splits: list[float | None]
+
+
+@dataclasses.dataclass(frozen=True)
+class DepthResult(Result, experiment="depth"):
+    """The cuts of a scene's trees."""
+
+    trees: list[Cuts]
 
 
 def worst_cases(tree: Tree) -> F64:
@@ -31,7 +62,7 @@ def worst_cases(tree: Tree) -> F64:
     """
     areas = tree.half_areas
     ratio = areas / areas[0] if areas[0] > 0 else np.ones_like(areas)
-    return tree.meta["c_tri"] * tree.count * ratio
+    return np.asarray(tree.meta["c_tri"] * tree.count * ratio)
 
 
 def remaining_by_depth(tree: Tree) -> tuple[F64, F64]:
@@ -69,7 +100,7 @@ def remaining_after_splits(tree: Tree, splits: tuple[int, ...] = SPLITS) -> list
     total = float(worst[0])
     frontier = [(-worst[0], 0)] if tree.left[0] >= 0 else []
     done = 0
-    found: list[float | None] = []
+    remaining: list[float | None] = []
     for asked in splits:
         while done < asked and frontier:
             _, node = heapq.heappop(frontier)
@@ -79,100 +110,27 @@ def remaining_after_splits(tree: Tree, splits: tuple[int, ...] = SPLITS) -> list
                 if tree.left[c] >= 0:
                     heapq.heappush(frontier, (-worst[c], c))
             done += 1
-        found.append(total if done == asked else None)
-    return found
+        remaining.append(total if done == asked else None)
+    return remaining
 
 
-def depth_experiment(tree: Tree) -> dict[str, Any]:
-    """Return the figures of one tree as JSON-able values."""
+def cuts(tree: Tree) -> Cuts:
+    """Cut a tree in all ways."""
     spent, remaining = remaining_by_depth(tree)
-    return {
-        "nodes_by_depth": np.bincount(tree.depths).tolist(),
-        "spent_by_depth": spent.tolist(),
-        "remaining_by_depth": remaining.tolist(),
-        "remaining_after_splits": remaining_after_splits(tree),
-    }
-
-
-# ------------------------------------------------------------------ answers
-
-
-def depth_table(records: list[dict[str, Any]]) -> pd.DataFrame:
-    """Where in the trees cost and overlap sit.
-
-    Returns
-    -------
-    DataFrame
-        One row per scene, builder and depth: ``scene, builder, depth, sah, epo`` (shares of the
-        nodes at that depth), ``spent, remaining`` (see :func:`remaining_by_depth`).
-    """
-    rows = [
-        {"scene": r["scene"], "builder": t["builder"], "depth": depth, "sah": values[0],
-         "epo": values[1], "spent": values[2], "remaining": values[3]}
-        for r in records
-        for t in r["trees"]
-        if "remaining_by_depth" in t
-        for depth, values in enumerate(zip(
-            *(t[n] for n in ("sah_by_depth", "epo_by_depth", "spent_by_depth",
-                             "remaining_by_depth")), strict=True))
-    ]  # fmt: skip
-    return pd.DataFrame(
-        rows, columns=["scene", "builder", "depth", "sah", "epo", "spent", "remaining"]
+    return Cuts(
+        nodes_by_depth=np.bincount(tree.depths).tolist(),
+        spent_by_depth=spent.tolist(),
+        remaining_by_depth=remaining.tolist(),
+        remaining_after_splits=remaining_after_splits(tree),
     )
 
 
-def remaining_relative(records: list[dict[str, Any]], base: str = "bbvh") -> pd.DataFrame:
-    """Worst-case triangle cost that remains, relative to the sweep's, mean over the scenes.
-
-    Returns
-    -------
-    DataFrame
-        Index ``builder``, a column per number of splits; empty without the base builder.
-    """
-    rows = []
-    for record in records:
-        trees = {t["builder"]: t for t in record["trees"] if "remaining_after_splits" in t}
-        if base not in trees:
-            continue
-        of_base = np.array(trees[base]["remaining_after_splits"], dtype=np.float64)
-        for name, tree in trees.items():
-            ratio = np.array(tree["remaining_after_splits"], dtype=np.float64) / of_base
-            rows.append({"builder": name, **dict(zip(SPLITS, ratio, strict=True))})
-    if not rows:
-        return pd.DataFrame()
-    return pd.DataFrame(rows).groupby("builder", sort=False).mean()
-
-
-def relative_to_best(
-    records: list[dict[str, Any]], name: str = "sah", without: tuple[str, ...] = ()
-) -> pd.DataFrame:
-    """How far each builder's trees are above the best tree found for the scene.
-
-    Parameters
-    ----------
-    records : list of dict
-    name : str
-        A metric.
-    without : tuple of str
-        Builders that are left out.
-
-    Returns
-    -------
-    DataFrame
-        Index ``builder``; ``mean`` and ``max`` over the scenes of the metric over the least of
-        the scene's trees, and ``scene``: where the greatest is.
-    """
-    rows = []
-    for record in records:
-        trees = [t for t in record["trees"] if t["builder"] not in without]
-        least = min((t[name] for t in trees), default=0.0)
-        if least > 0:
-            rows += [
-                {"builder": t["builder"], "scene": record["scene"], "ratio": t[name] / least}
-                for t in trees
-            ]
-    table = pd.DataFrame(rows, columns=["builder", "scene", "ratio"])
-    groups = table.groupby("builder", sort=False)["ratio"]
-    found = pd.DataFrame({"mean": groups.mean(), "max": groups.max()})
-    found["scene"] = table.loc[groups.idxmax(), "scene"].to_numpy() if len(table) else []
-    return found
+def depth_experiment(setting: Setting, report: Reporter) -> DepthResult:
+    """Cut the trees of a scene."""
+    share = 1 / len(setting.trees)
+    found = []
+    for i, (key, tree) in enumerate(setting.trees.items()):
+        report.part(share * i, share, setting.options.builders[i])("depth", 0.0)
+        piece = f"depth-{key_of(tree=key, format=2)}"
+        found.append(kept(setting.store, piece, Cuts, functools.partial(cuts, tree)))
+    return DepthResult(found)

@@ -5,23 +5,23 @@ Everything here is by counted cost, which has no noise, so that small changes of
 
 from __future__ import annotations
 
+import dataclasses
 import functools
-from collections.abc import Callable
-from typing import Any
-
-import numpy as np
-import pandas as pd
 
 from mibvh.builders import Context, get
 from mibvh.builders.finish import finish
 from mibvh.metrics.epo import epo
-from mibvh.metrics.predictor import FIXED_ALPHAS, fit_alpha, pearson, predict
 from mibvh.metrics.sah import sah
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene
-from mibvh.studies.options import StudyOptions
-from mibvh.studies.measure.trees import cameras, costs_by_origin, counted_costs, report_part
-from mibvh.studies.measure.store import Store, key_of
+from mibvh.studies.measure.cameras import cameras
+from mibvh.studies.measure.counts import costs_by_origin, counted_costs
+from mibvh.studies.measure.pieces import kept
+from mibvh.studies.measure.setting import Setting
+from mibvh.studies.measure.store import key_of
+from mibvh.studies.measure.trees import TreeSource
+from mibvh.studies.record.progress import Reporter
+from mibvh.studies.record.scene import OriginCost, Result
 from mibvh.traversal.records import unit_scale
 from mibvh.traversal.trace import Tracer
 from mibvh.tree import Tree
@@ -34,176 +34,128 @@ BOUNCES = 3
 _LEAF_RAYS = 262_144
 
 
-def sensitivity_experiment(
-    scene: Scene,
-    rays: RaySet,
-    rays_key: str,
-    trees: dict[str, Tree],
-    options: StudyOptions,
-    store: Store,
-    report: Callable[[str, float], None],
-) -> dict[str, Any]:
-    """Count what other leaf sizes and deeper bounces cost.
+@dataclasses.dataclass(frozen=True)
+class LeafSize:
+    """A tree whose leaves were collapsed up to another size.
 
-    Parameters
+    Attributes
     ----------
-    trees : dict of str to Tree
-        By their keys, in the order of ``options.builders``.
-
-    Returns
-    -------
-    dict
-        JSON-able: ``leaf_sizes`` (per builder a list with a dict per size), ``bounces`` (per
-        builder the costs of the rays deeper than the scene's ray set, by bounce and viewpoint).
+    max_leaf : int
+    rays : int
+        How many it was counted on.
+    values : dict of str to float
+        ``sah, epo, counted_cost, mean_leaf_size``.
     """
+
+    max_leaf: int
+    rays: int
+    values: dict[str, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class SensitivityResult(Result, experiment="sensitivity"):
+    """What other choices cost, tree by tree.
+
+    Attributes
+    ----------
+    leaf_sizes : list of list of LeafSize
+        Of each tree one per size.
+    bounces : list of list of OriginCost
+        Of each tree the costs of the rays that are deeper than the scene's ray set.
+    """
+
+    leaf_sizes: list[list[LeafSize]]
+    bounces: list[list[OriginCost]]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Sizes:
+    sizes: list[LeafSize]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Costs:
+    costs: list[OriginCost]
+
+
+def sensitivity_experiment(setting: Setting, report: Reporter) -> SensitivityResult:
+    """Count what other leaf sizes and deeper bounces cost."""
+    options, trees = setting.options, setting.trees
     share = 0.7 / len(trees)
     leaf_sizes = []
     for i, (name, key) in enumerate(zip(options.builders, trees, strict=True)):
-        report(f"leaf sizes {name}", share * i)
+        report.part(share * i, share, name)("leaf sizes", 0.0)
         piece = key_of(
-            tree=key, rays=rays_key, cull=options.cull, sizes=LEAF_SIZES, most=_LEAF_RAYS
+            tree=key,
+            rays=setting.rays_key,
+            cull=options.cull,
+            sizes=LEAF_SIZES,
+            most=_LEAF_RAYS,
+            format=2,
         )
-        make = functools.partial(_leaf_sizes, name, scene, rays, options.cull)
-        leaf_sizes.append(store.kept(f"leaves-{piece}", make)["sizes"])
-    part = functools.partial(report_part, report, "bounces", 0.7, 0.3)
-    return {"leaf_sizes": leaf_sizes, "bounces": _bounces(scene, trees, options, store, part)}
+        make = functools.partial(
+            _leaf_sizes, TreeSource.parse(name), setting.scene, setting.rays, options.cull
+        )
+        leaf_sizes.append(kept(setting.store, f"leaves-{piece}", _Sizes, make).sizes)
+    return SensitivityResult(leaf_sizes, _bounces(setting, report.part(0.7, 0.3)))
 
 
-def _leaf_sizes(name: str, scene: Scene, rays: RaySet, cull: bool) -> dict[str, Any]:
+def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _Sizes:
     """Finish one builder's draft with each leaf size, and judge and count the trees."""
-    triangles, entry = scene.triangles, get(name)
-    chosen = entry.options()
-    draft = entry.draft(triangles, chosen, Context())
+    triangles, entry = scene.triangles, get(source.builder)
+    options = entry.options()
+    draft = entry.draft(triangles, options, Context())
     some = rays.select(slice(None, None, -(-len(rays) // _LEAF_RAYS)))
     tracer = Tracer(some, float(unit_scale(triangles)), cull=cull)
-    meta = {"triangles": len(triangles), "digest": triangles.digest,
-            "c_inner": chosen.c_inner, "c_tri": chosen.c_tri}  # fmt: skip
+    costs = {"c_inner": options.c_inner, "c_tri": options.c_tri}
+    meta = {"triangles": len(triangles), "digest": triangles.digest, **costs}
     sizes = []
     for size in LEAF_SIZES:
-        tree = finish(draft, c_inner=chosen.c_inner, c_tri=chosen.c_tri, max_leaf=size, meta=meta)
-        sizes.append({
-            "max_leaf": size, "rays": len(some),
+        tree = finish(draft, **costs, max_leaf=size, meta=meta)
+        values = {
             "sah": sah(tree),
             "epo": epo(tree, triangles),
             "counted_cost": float(counted_costs(tracer, tree, triangles).mean()),
             "mean_leaf_size": tree.stats()["mean_leaf_size"],
-        })  # fmt: skip
-    return {"sizes": sizes}
+        }
+        sizes.append(LeafSize(size, len(some), values))
+    return _Sizes(sizes)
 
 
-def _bounces(
-    scene: Scene,
-    trees: dict[str, Tree],
-    options: StudyOptions,
-    store: Store,
-    report: Callable[[str, float], None],
-) -> list[list[dict[str, Any]]]:
+def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:
     """Costs of the rays that are deeper than those of the scene's own ray set."""
+    scene, trees, options = setting.scene, setting.trees, setting.options
     choices = {**options.rays(), "bounces": max(BOUNCES, options.bounces)}
     key = key_of(digest=scene.triangles.digest, cameras=cameras(scene), deeper=True, **choices)
 
     def deeper() -> RaySet:
-        found = diffuse_rays(scene, **choices)
-        return found.select(found.bounce > options.bounces)
+        rays = diffuse_rays(scene, **choices)
+        return rays.select(rays.bounce > options.bounces)
 
     report("rays", 0.0)
-    rays = store.array(RaySet, key, deeper)
+    rays = setting.store.array(RaySet, key, deeper)
     if len(rays) == 0:
         return [[] for _ in trees]
-    tracer = None
+    counter = _LazyTracer(scene, rays, options.cull)
     costs = []
-    for i, (name, tree) in enumerate(trees.items()):
-        report("count", 0.2 + 0.8 * i / len(trees))
-        tracer = tracer or Tracer(rays, float(unit_scale(scene.triangles)), cull=options.cull)
-        make = functools.partial(_counted, tracer, tree, scene, rays)
-        costs.append(store.kept(f"deeper-{key_of(tree=name, rays=key, cull=options.cull)}", make))
-    return [found["costs"] for found in costs]
+    for i, (name, (tree_key, tree)) in enumerate(zip(options.builders, trees.items(), strict=True)):
+        report.part(0.2 + 0.8 * i / len(trees), 0.8 / len(trees), name)("count", 0.0)
+        piece = f"deeper-{key_of(tree=tree_key, rays=key, cull=options.cull)}"
+        make = functools.partial(counter.count, tree)
+        costs.append(kept(setting.store, piece, _Costs, make).costs)
+    return costs
 
 
-def _counted(tracer: Tracer, tree: Tree, scene: Scene, rays: RaySet) -> dict[str, Any]:
-    return {"costs": costs_by_origin(rays, counted_costs(tracer, tree, scene.triangles))}
+class _LazyTracer:
+    """Rays that go to Dr.Jit's memory when a tree is first counted."""
 
+    def __init__(self, scene: Scene, rays: RaySet, cull: bool) -> None:
+        self._scene, self._rays, self._cull = scene, rays, cull
 
-# ------------------------------------------------------------------ answers
+    @functools.cached_property
+    def _tracer(self) -> Tracer:
+        return Tracer(self._rays, float(unit_scale(self._scene.triangles)), cull=self._cull)
 
-
-def sensitivity_table(records: list[dict[str, Any]]) -> pd.DataFrame:
-    """Pearson's r with counted cost under each choice.
-
-    Returns
-    -------
-    DataFrame
-        Columns ``scene, experiment`` (``leaf size``, ``bounce`` or ``viewpoints``), ``choice``
-        (the largest leaf, the bounce, or how many viewpoints), ``which`` (the viewpoints; there
-        is a row for each run of so many neighbours), ``sah, fitted, fixed`` (Pearson r of SAH, of
-        SAH + EPO with fitted alpha, with alpha 0.79) and ``alpha``. Empty where the experiment
-        was not run.
-    """
-    rows = []
-    for record in records:
-        if "sensitivity" not in record:
-            continue
-        for experiment, choice, which, columns in _cases(record):
-            measured, s, e = (np.asarray(c, np.float64) for c in columns)
-            alpha = fit_alpha(s, e, measured)
-            rows.append({
-                "scene": record["scene"], "experiment": experiment, "choice": choice,
-                "which": which,
-                "sah": pearson(s, measured), "fitted": pearson(predict(s, e, alpha), measured),
-                "fixed": pearson(predict(s, e, FIXED_ALPHAS[0]), measured), "alpha": alpha,
-            })  # fmt: skip
-    names = ["scene", "experiment", "choice", "which", "sah", "fitted", "fixed", "alpha"]
-    return pd.DataFrame(rows, columns=names)
-
-
-def _cases(record: dict[str, Any]) -> Any:
-    """Yield what is varied, its value, which viewpoints, and cost, SAH and EPO per tree."""
-    own = [[t[name] for t in record["trees"]] for name in ("sah", "epo")]
-    leaf_sizes = record["sensitivity"]["leaf_sizes"]
-    for i, size in enumerate(LEAF_SIZES):
-        names = ("counted_cost", "sah", "epo")
-        yield "leaf size", size, "", [[sizes[i][n] for sizes in leaf_sizes] for n in names]
-    origins = [
-        [*tree["costs_by_origin"], *deeper]
-        for tree, deeper in zip(record["trees"], record["sensitivity"]["bounces"], strict=True)
-    ]
-    for bounce in sorted({entry["bounce"] for entry in origins[0]}):
-        costs = [_mean_cost([e for e in tree if e["bounce"] == bounce]) for tree in origins]
-        yield "bounce", bounce, "", [costs, *own]
-    by_view = [tree["costs_by_origin"] for tree in record["trees"]]
-    views = sorted({entry["viewpoint"] for entry in by_view[0]})
-    for many in range(1, len(views) + 1):
-        for first in range(len(views) if many < len(views) else 1):
-            chosen = [views[(first + i) % len(views)] for i in range(many)]
-            costs = [_mean_cost([e for e in tree if e["viewpoint"] in chosen]) for tree in by_view]
-            yield "viewpoints", many, " ".join(map(str, chosen)), [costs, *own]
-
-
-def _mean_cost(entries: list[dict[str, Any]]) -> float:
-    """Mean over all rays of some origins."""
-    return sum(e["cost"] * e["rays"] for e in entries) / sum(e["rays"] for e in entries)
-
-
-def sensitivity_summary(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean and minimum of r over the scenes (and sets of viewpoints) for each choice.
-
-    Parameters
-    ----------
-    table : DataFrame
-        From :func:`sensitivity_table`.
-
-    Returns
-    -------
-    DataFrame
-        Columns ``experiment, choice, cases, sah, sah_min, fitted, fitted_min, fixed, fixed_min,
-        alpha``.
-    """
-    rows = []
-    for (experiment, choice), group in table.groupby(["experiment", "choice"], sort=False):
-        row: dict[str, Any] = {"experiment": experiment, "choice": choice, "cases": len(group)}
-        for name in ("sah", "fitted", "fixed"):
-            row[name], row[f"{name}_min"] = group[name].mean(), group[name].min()
-        rows.append({**row, "alpha": group["alpha"].mean()})
-    names = ["experiment", "choice", "cases", "sah", "sah_min", "fitted", "fitted_min", "fixed",
-             "fixed_min", "alpha"]  # fmt: skip
-    return pd.DataFrame(rows, columns=names)
+    def count(self, tree: Tree) -> _Costs:
+        costs = counted_costs(self._tracer, tree, self._scene.triangles)
+        return _Costs(costs_by_origin(self._rays, costs))

@@ -6,62 +6,15 @@ the folder finds them, checks their triangle counts and shows the paper's figure
 
 from __future__ import annotations
 
-import dataclasses
-import functools
 import os
-import tomllib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from mibvh.errors import MibvhError
-
-#: How many scenes the paper has; the catalogue holds those that its slides name.
-PAPER_SCENES = 22
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PaperScene:
-    """A scene of the paper; None is what is not known.
-
-    Attributes
-    ----------
-    name, credit : str
-        As on the slides.
-    files : tuple of str
-        Other names a file or folder of it may have.
-    where, url : str or None
-        Where the model is to be had.
-    triangles : int or None
-        Of the file that is to be had there; the paper's own count may differ.
-    r_sah, r_sah_epo : float or None
-        Pearson's r with scalar ns/ray over nine builders, for SAH and for SAH + EPO.
-    alpha : float or None
-        The fitted alpha, as other codes quote it from the paper.
-    bbvh_sah : float or None
-        SAH of the sweep over the best found: at least this.
-    """
-
-    name: str
-    credit: str
-    files: tuple[str, ...] = ()
-    where: str | None = None
-    url: str | None = None
-    triangles: int | None = None
-    r_sah: float | None = None
-    r_sah_epo: float | None = None
-    alpha: float | None = None
-    bbvh_sah: float | None = None
-
-
-@functools.cache
-def paper_scenes() -> tuple[PaperScene, ...]:
-    """Return the catalogue, in alphabetical order."""
-    text = Path(__file__).with_name("published.toml").read_text(encoding="utf-8")
-    entries = tomllib.loads(text)["scene"]
-    return tuple(PaperScene(**{**e, "files": tuple(e.get("files", ()))}) for e in entries)
+from mibvh.studies.paper.published import PaperScene, published
+from mibvh.studies.record.scene import Records
 
 
 def find_paper_scene(name: str) -> PaperScene | None:
@@ -71,7 +24,7 @@ def find_paper_scene(name: str) -> PaperScene | None:
     'San Miguel'
     """
     asked = _plain(name)
-    for scene in paper_scenes():
+    for scene in published().known_scenes:
         if asked in {_plain(known) for known in (scene.name, *scene.files)}:
             return scene
     return None
@@ -119,13 +72,12 @@ def _is_scene(path: Path) -> bool:
     return kind == "xml" or kind in trimesh.available_formats()
 
 
-def paper_comparison(records: Sequence[dict[str, Any]], found: pd.DataFrame) -> pd.DataFrame:
+def paper_comparison(records: Records, found: pd.DataFrame) -> pd.DataFrame:
     """Published figures beside measured ones, for the studied scenes that are the paper's.
 
     Parameters
     ----------
-    records : list of dict
-        A study's scenes.
+    records : sequence of SceneRecord
     found : DataFrame
         From :func:`mibvh.studies.analyse.correlations.correlations`.
 
@@ -138,17 +90,23 @@ def paper_comparison(records: Sequence[dict[str, Any]], found: pd.DataFrame) -> 
     scalar = found[found["measurement"] == "scalar_ns"].set_index(["scene", "predictor"])
     rows = []
     for record in records:
-        known = find_paper_scene(record["scene"])
+        known = find_paper_scene(record.scene)
         if known is None:
             continue
-        alone, both = (scalar.loc[(record["scene"], p)] for p in ("SAH", "fitted"))
-        rows.append({
-            "scene": record["scene"], "triangles": record["triangles"],
-            "expected": known.triangles,
-            "r_sah": alone["pearson"], "paper_r_sah": known.r_sah,
-            "r_sah_epo": both["pearson"], "paper_r_sah_epo": known.r_sah_epo,
-            "alpha": both["alpha"], "paper_alpha": known.alpha,
-        })  # fmt: skip
-    columns = ["scene", "triangles", "expected", "r_sah", "paper_r_sah", "r_sah_epo",
-               "paper_r_sah_epo", "alpha", "paper_alpha"]  # fmt: skip
-    return pd.DataFrame(rows, columns=columns)
+        alone, both = (scalar.loc[(record.scene, name)] for name in ("SAH", "fitted"))
+        rows.append(
+            {
+                "scene": record.scene,
+                "triangles": record.triangles,
+                "expected": known.triangles,
+                "r_sah": alone["pearson"],
+                "paper_r_sah": known.r_sah,
+                "r_sah_epo": both["pearson"],
+                "paper_r_sah_epo": known.r_sah_epo,
+                "alpha": both["alpha"],
+                "paper_alpha": known.alpha,
+            }
+        )
+    names = ["scene", "triangles", "expected", "r_sah", "paper_r_sah", "r_sah_epo",
+             "paper_r_sah_epo", "alpha", "paper_alpha"]  # fmt: skip
+    return pd.DataFrame(rows, columns=names)

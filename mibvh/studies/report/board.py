@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 import threading
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
-from mibvh.builders import names
+from mibvh.studies.record.progress import Progress
 
 #: Seconds between two lines of the same stage.
 _EVERY = 1.0
@@ -34,7 +35,8 @@ class Board:
         self._started = time.monotonic()
         self._begun: dict[str, float] = {}
         self._done: dict[str, float] = {}
-        self._last: tuple[str, str, float] = ("", "", 0.0)
+        self._last: Progress | None = None
+        self._written = 0.0
         self._lock = threading.Lock()
         self._bars = None if lines or not sys.stderr.isatty() else _bars(scenes)
         self._tasks: dict[str, Any] = {}
@@ -48,21 +50,22 @@ class Board:
         if self._bars:
             self._bars.stop()
 
-    def __call__(self, scene: str, stage: str, done: float) -> None:
-        """Note that a stage of a scene is reached; ``done`` is from 0 to 1 within the scene."""
+    def __call__(self, step: Progress) -> None:
+        """Note that a step is reached."""
+        scene, done = step.scene, step.done
         with self._lock:
             now = time.monotonic()
             if scene not in self._begun or (done == 0.0 and self._done[scene] > 0.0):
                 self._begun[scene] = now  # a scene whose worker died begins again
             self._done[scene] = done
-            left = {
-                "scene": _left(now - self._begun[scene], done, 1.0),
-                "all": _left(now - self._started, sum(self._done.values()), self._scenes),
-            }
+            left = _Left(
+                scene=_left(now - self._begun[scene], done, 1.0),
+                all=_left(now - self._started, sum(self._done.values()), self._scenes),
+            )
             if self._lines:
-                self._write(scene, stage, done, left, now)
+                self._write(step, left, now)
             elif self._bars:
-                self._draw(scene, stage, done, left)
+                self._draw(step, left)
             elif done == 1.0:
                 sys.stderr.write(f"{scene}: done ({self._finished} of {self._scenes})\n")
 
@@ -70,37 +73,50 @@ class Board:
     def _finished(self) -> int:
         return sum(done == 1.0 for done in self._done.values())
 
-    def _write(
-        self, scene: str, stage: str, done: float, left: dict[str, float | None], now: float
-    ) -> None:
-        if done < 1.0 and self._last[:2] == (scene, stage) and now - self._last[2] < _EVERY:
+    def _write(self, step: Progress, left: _Left, now: float) -> None:
+        """Write a line, unless the last one of the same stage was written a moment ago."""
+        same = self._last is not None and dataclasses.replace(step, done=self._last.done)
+        if step.done < 1.0 and same == self._last and now - self._written < _EVERY:
             return
-        self._last = (scene, stage, now)
-        what, _, last = stage.rpartition(" ")
-        builder = last if last in names() else None
+        self._last, self._written = step, now
         line = {
-            "event": "progress", "scene": scene, "stage": what if builder else stage,
-            "builder": builder, "done": round(done, 4), "seconds_left": left["scene"],
-            "scenes_done": self._finished, "scenes": self._scenes,
-            "all_seconds_left": left["all"],
-        }  # fmt: skip
+            "event": "progress",
+            **dataclasses.asdict(step),
+            "done": round(step.done, 4),
+            "seconds_left": left.scene,
+            "scenes_done": self._finished,
+            "scenes": self._scenes,
+            "all_seconds_left": left.all,
+        }
         sys.stdout.write(json.dumps(line) + "\n")
         sys.stdout.flush()
 
-    def _draw(self, scene: str, stage: str, done: float, left: dict[str, float | None]) -> None:
+    def _draw(self, step: Progress, left: _Left) -> None:
         bars = self._bars
         if bars is None:
             return
-        if scene not in self._tasks:
-            self._tasks[scene] = bars.add_task(scene, total=1.0, left="")
+        if step.scene not in self._tasks:
+            self._tasks[step.scene] = bars.add_task(step.scene, total=1.0, left="")
         bars.update(
-            self._tasks[scene], description=f"{scene}: {stage}", completed=done,
-            left=_clock(left["scene"]), visible=done < 1.0,
-        )  # fmt: skip
+            self._tasks[step.scene],
+            description=f"{step.scene}: {step}",
+            completed=step.done,
+            left=_clock(left.scene),
+            visible=step.done < 1.0,
+        )
         bars.update(
-            bars.task_ids[0], description=f"study: {self._finished} of {self._scenes} scenes",
-            completed=sum(self._done.values()), left=_clock(left["all"]),
-        )  # fmt: skip
+            bars.task_ids[0],
+            description=f"study: {self._finished} of {self._scenes} scenes",
+            completed=sum(self._done.values()),
+            left=_clock(left.all),
+        )
+
+
+class _Left(NamedTuple):
+    """Seconds left, of the scene and of the study; None where there is no pace yet."""
+
+    scene: float | None
+    all: float | None
 
 
 def _left(spent: float, done: float, total: float) -> float | None:

@@ -6,6 +6,7 @@ import base64
 import functools
 import io
 import itertools
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,28 +14,25 @@ import numpy as np
 import pandas as pd
 
 from mibvh.files import atomic_path, write_text
-from mibvh.studies.report import plots as figures
-from mibvh.studies.analyse.correlations import MEASUREMENTS, PREDICTORS, overview, worst_time_error
-from mibvh.studies.report.tables import PREDICTION, times_known
-from mibvh.studies.report.experiment_tables import TURNING
-from mibvh.studies.measure.rotation import rotation_factors
-from mibvh.studies.sheet import Sheet
+from mibvh.metrics.predictors import predictors
+from mibvh.studies.analyse.correlations import overview, worst_error
+from mibvh.studies.analyse.rotation import rotation_factors
+from mibvh.studies.measure.depth import DepthResult
+from mibvh.studies.record.quantities import quantities, targets
+from mibvh.studies.record.scene import Records, SceneRecord
+from mibvh.studies.record.serialise import to_json
+from mibvh.studies.record.sheet import Sheet
+from mibvh.studies.report import plots
+from mibvh.studies.report.tables.prediction import SECTION as PREDICTION
+from mibvh.studies.report.tables.prediction import times_known
+from mibvh.studies.report.tables.rotation import SECTION as ROTATION
 
-#: Figures of a scene: file name, what to say below it.
-CAPTIONS = {
-    "counted": "Counted cost per ray against the prediction: no stopwatch, no noise.",
-    "scalar": "Scalar time per ray against the prediction.",
-    "simd": "SIMD time per ray against the prediction.",
+#: What is said below the figures of a scene that are of its trees.
+_CAPTIONS = {
     "depth": "Where in the trees the expected cost and the overlap sit.",
     "remaining": "What would remain to be tested if the tree ended there: what a sweep minimises.",
 }
-#: Predictors that a reader asks for first, and their titles.
-_FIRST = {
-    "SAH": "SAH alone",
-    "fitted": "SAH + EPO, α fitted per scene",
-    "finite rays": "finite rays, nothing fitted",
-}
-#: What they are held against.
+#: What the predictors that a reader asks for first are held against.
 _FIRST_HELD = ("counted_cost", "scalar_ns")
 #: Width of the small pictures, in pixels: twice what is shown, for fine screens.
 _THUMBNAIL = 320
@@ -56,7 +54,7 @@ def _template() -> Any:
 
 def write_report(
     folder: Path,
-    records: list[dict[str, Any]],
+    records: Records,
     found: pd.DataFrame,
     sheets: list[Sheet],
     of_scenes: list[list[Sheet]],
@@ -66,8 +64,7 @@ def write_report(
     Parameters
     ----------
     folder : Path
-    records : list of dict
-        One per scene.
+    records : sequence of SceneRecord
     found : DataFrame
         From :func:`mibvh.studies.analyse.correlations.correlations`.
     sheets : list of Sheet
@@ -93,14 +90,13 @@ def write_report(
             for record, of_scene in zip(records, of_scenes, strict=True)
         ],
         headline=_overall(found),
-        times_known=times_known(records, "scalar_ns"),
+        times_known=times_known(records, quantities()["scalar_ns"]),
         prediction=PREDICTION,
-        summary=draw("summary", figures.summary(found)),
-        turning=TURNING if len(factors) else None,
-        rotation=draw("rotation", figures.rotation(factors)) if len(factors) else [],
-        predictors=PREDICTORS,
-        environment=records[-1]["environment"],
-        options=records[-1]["options"],
+        summary=draw("summary", plots.summary(found)),
+        rotating=ROTATION if len(factors) else None,
+        rotation=draw("rotation", plots.rotation(factors)) if len(factors) else [],
+        environment=records[-1].environment,
+        options=to_json(records[-1].options),
     )
     write_text(folder / "report.html", page)
     return draw.written
@@ -115,77 +111,80 @@ class _Draw:
 
     def __call__(self, name: str, figure: Any) -> list[str]:
         """Write a figure. Returns the SVG of each of its panels, to stand in the page."""
-        drawn = figures.svg(figure)
+        drawn = plots.svg(figure)
         files = [f"figures/{name}.{kind}" for kind in ("svg", "png")]
         write_text(self._folder / files[0], drawn.replace("currentColor", "#222"))
         with atomic_path(self._folder / files[1]) as path:
-            path.write_bytes(figures.png(figure))
+            path.write_bytes(plots.png(figure))
         self.written += files
-        return figures.panels(drawn)
+        return plots.panels(drawn)
 
 
-def _builders(records: list[dict[str, Any]]) -> list[dict[str, str]]:
+def _builders(records: Records) -> list[dict[str, str]]:
     """Name and colour of each builder, in the order of the scene that has most."""
-    most = max(records, key=lambda record: len(record["trees"]))
+    most = max(records, key=lambda record: len(record.trees))
     return [
-        {"name": tree["builder"], "colour": figures.builder_colour(i)}
-        for i, tree in enumerate(most["trees"])
+        {"name": tree.builder, "colour": plots.builder_colour(i)}
+        for i, tree in enumerate(most.trees)
     ]
 
 
 def _scene(
-    draw: _Draw, record: dict[str, Any], found: pd.DataFrame, sheets: list[Sheet]
+    draw: _Draw, record: SceneRecord, found: pd.DataFrame, sheets: list[Sheet]
 ) -> dict[str, Any]:
-    name = record["scene"]
-    drawn = {
-        "counted": figures.predicted_measured(record, "counted_cost"),
-        "scalar": figures.predicted_measured(record, "scalar_ns"),
-        "simd": figures.predicted_measured(record, "simd_ns"),
-        "depth": figures.by_depth(record),
-    }
-    if "depth" in record["options"]["experiments"]:
-        drawn["remaining"] = figures.remaining(record)
+    name = record.scene
     return {
         "name": name,
-        "triangles": f"{record['triangles']:,}",
-        "rays": f"{record['rays']['count']:,}",
-        "viewpoints": record["rays"]["viewpoints"],
-        "notes": record["notes"],
-        "picture": record["picture"]["png"],
-        "thumbnail": _thumbnail(record["picture"]["png"]),
-        "timing": record["timing"],
+        "triangles": f"{record.triangles:,}",
+        "rays": f"{record.rays.count:,}",
+        "viewpoints": record.rays.viewpoints,
+        "notes": record.notes,
+        "picture": record.picture,
+        "thumbnail": _thumbnail(record.picture),
+        "timing": record.timing,
         "sheets": sheets,
         "r": _of_scene(record, found[found["scene"] == name]),
         "figures": [
-            (CAPTIONS[key], draw(f"{name}-{key}", figure)) for key, figure in drawn.items()
+            (caption, draw(f"{name}-{key}", figure)) for key, caption, figure in _figures(record)
         ],
     }
 
 
+def _figures(record: SceneRecord) -> Iterator[tuple[str, str, Any]]:
+    """Yield the name of a figure's file, what is said below it, and the figure."""
+    for target in targets():
+        yield target.figure, target.caption, plots.predicted_measured(record, target)
+    yield "depth", _CAPTIONS["depth"], plots.by_depth(record)
+    if depth := record.result(DepthResult):
+        yield "remaining", _CAPTIONS["remaining"], plots.remaining(record, depth)
+
+
 def _overall(found: pd.DataFrame) -> list[tuple[str, ...]]:
-    """Of each of :data:`_FIRST`: title, mean and least r with counted cost, the same with time.
+    """Of each headline predictor: title, mean and least r with counted cost, the same with time.
 
     Empty where no r is known.
     """
     summary = overview(found)
     tiles = []
-    for name, title in _FIRST.items():
-        values = [summary.loc[(m, name), c] for m in _FIRST_HELD for c in ("mean", "min")]
-        if np.isfinite(values[0]):
-            tiles.append((title, *map(_r, values)))
+    for one in predictors():
+        if one.headline:
+            values = [summary.loc[(m, one.name), c] for m in _FIRST_HELD for c in ("mean", "min")]
+            if np.isfinite(values[0]):
+                tiles.append((one.headline, *map(_r, values)))
     return tiles
 
 
-def _of_scene(record: dict[str, Any], found: pd.DataFrame) -> list[tuple[str, str, str, str]]:
+def _of_scene(record: SceneRecord, found: pd.DataFrame) -> list[tuple[str, str, str, str]]:
     """Of each measurement: its name, r of SAH, r with EPO (α fitted), and how well it is known."""
     r = found.set_index(["measurement", "predictor"])["pearson"]
-    known = {
-        f"{lanes}_ns": f"times ±{worst_time_error([record], lanes):.1%}"
-        for lanes in record["timing"]
-    }
     return [
-        (title, _r(r[m, "SAH"]), _r(r[m, "fitted"]), known.get(m, "no noise"))
-        for m, title in MEASUREMENTS.items()
+        (
+            target.heading,
+            _r(r[target.name, "SAH"]),
+            _r(r[target.name, "fitted"]),
+            f"times ±{worst_error([record], target.error):.1%}" if target.error else "no noise",
+        )
+        for target in targets()
     ]
 
 

@@ -1,4 +1,4 @@
-"""Figures of the report, by matplotlib; text and lines take the colour of the page they are in.
+"""Plots of the report, by matplotlib; text and lines take the colour of the page they are in.
 
 A figure is a row of panels of one size, so that a page can also set them one below the other.
 """
@@ -9,7 +9,6 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 from xml.etree import ElementTree
 
 import matplotlib as mpl
@@ -20,8 +19,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mibvh.metrics.predictor import pearson
+from mibvh.metrics.registry import Quantity
 from mibvh.plot.marks import STYLE, builder_colour, depth_curves, named_points
-from mibvh.studies.analyse.correlations import MEASUREMENTS, column, predictors
+from mibvh.studies.analyse.correlations import predicted
+from mibvh.studies.analyse.rotation import headings
+from mibvh.studies.measure.depth import DepthResult
+from mibvh.studies.record.quantities import quantities, targets
+from mibvh.studies.record.scene import SceneRecord
+from mibvh.triangles import F64
 
 #: Stands for "the text colour of the page" until the figure is in it.
 _INK = "#123457"
@@ -79,9 +84,9 @@ def _name(axis: Axes, title: str, x: str, y: str) -> None:
     axis.yaxis.set_label_coords(-0.56 * inch / box.width, 0.5)
 
 
-def _strip(record: dict[str, Any]) -> float:
+def _strip(record: SceneRecord) -> float:
     """Height of the strip that takes the names of a scene's builders, in inches."""
-    return _ROW * (1 + (len(record["trees"]) - 1) // _NAMES) + 0.08
+    return _ROW * (1 + (len(record.trees) - 1) // _NAMES) + 0.08
 
 
 def _legend(figure: Figure, axis: Axes) -> None:
@@ -143,80 +148,79 @@ def png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def predicted_measured(record: dict[str, Any], measurement: str) -> Figure:
+def predicted_measured(record: SceneRecord, target: Quantity) -> Figure:
     """Predicted against measured cost of a scene's trees: SAH alone, and SAH with EPO.
 
     Parameters
     ----------
-    record : dict
-        A scene's record.
-    measurement : str
-        A key of :data:`mibvh.studies.analyse.correlations.MEASUREMENTS`.
+    record : SceneRecord
+    target : Quantity
+        From :func:`mibvh.studies.record.quantities.targets`.
     """
-    measured = column(record, measurement)
-    both = predictors(record, measurement)
-    second = "fitted" if np.isfinite(both["fitted"][0]) else "fixed 0.79"
+    sample = record.sample(target.name)
+    second = "fitted" if np.isfinite(predicted("fitted", sample)[0]) else "fixed 0.79"
     with style():
         figure, axes = _figure(2)
         for axis, name in zip(axes, ("SAH", second), strict=True):
-            alpha, values = both[name]
-            _scatter(axis, record, values, measured, measurement)
-            r = pearson(values, measured)
+            alpha, values = predicted(name, sample)
+            _scatter(axis, record, values, target)
+            r = pearson(values, sample.measured)
             label = "SAH" if name == "SAH" else f"SAH + EPO, α = {alpha:.2f}"
             title = f"{label}:  r = {r:.3f}" if np.isfinite(r) else label
-            _name(axis, title, "predicted cost", f"measured: {MEASUREMENTS[measurement]}")
+            _name(axis, title, "predicted cost", f"measured: {target.heading}")
     return figure
 
 
-def _scatter(
-    axis: Axes, record: dict[str, Any], values: np.ndarray, measured: np.ndarray, measurement: str
-) -> None:
-    error = measurement.replace("_ns", "_error")
+def _scatter(axis: Axes, record: SceneRecord, values: F64, target: Quantity) -> None:
+    measured = record.column(target.name)
     gids = []
-    for tree, x, y in zip(record["trees"], values, measured, strict=True):
-        name = tree["builder"]
-        noise = f" ±{tree[error]:.1%}" if measurement.endswith("_ns") else ""
+    for tree, x, y in zip(record.trees, values, measured, strict=True):
+        name = tree.builder
+        noise = f" ±{tree[target.error]:.1%}" if target.error else ""
         gids.append(
-            f"{_TIP}{name}|{name}: {MEASUREMENTS[measurement]} {y:.4g}{noise}, predicted {x:.4g}, "
+            f"{_TIP}{name}|{name}: {target.heading} {y:.4g}{noise}, predicted {x:.4g}, "
             f"SAH {tree['sah']:.4g}, EPO {tree['epo']:.4g}, LCV {tree['lcv']:.3g}"
         )
-    names = [tree["builder"] for tree in record["trees"]]
+    names = [tree.builder for tree in record.trees]
     named_points(axis, names, values, measured, line=True, gids=gids)
 
 
-def by_depth(record: dict[str, Any]) -> Figure:
+def by_depth(record: SceneRecord) -> Figure:
     """Where in the tree the cost and the overlap sit: SAH and EPO by depth."""
     with style():
         figure, axes = _figure(2, height=2.5, strip=_strip(record))
         for axis, name in zip(axes, ("sah", "epo"), strict=True):
+            heading = quantities()[name].heading
             curves, gids = {}, []
-            for tree in record["trees"]:
-                values = curves[tree["builder"]] = np.array(tree[f"{name}_by_depth"])
+            for tree in record.trees:
+                levels = tree.sah_by_depth if name == "sah" else tree.epo_by_depth
+                values = curves[tree.builder] = np.array(levels)
                 gids.append(
-                    f"{_TIP}{tree['builder']}|{tree['builder']}: {name.upper()} {tree[name]:.4g} "
+                    f"{_TIP}{tree.builder}|{tree.builder}: {heading} {tree[name]:.4g} "
                     f"over {len(values)} levels, most at depth {values.argmax()}"
                 )
             depth_curves(axis, curves, gids)
-            _name(axis, f"{name.upper()} by depth", "depth", "cost")
+            _name(axis, f"{heading} by depth", "depth", "cost")
         _legend(figure, axes[0])
     return figure
 
 
-def remaining(record: dict[str, Any]) -> Figure:
+def remaining(record: SceneRecord, found: DepthResult) -> Figure:
     """What a top-down sweep minimises: the worst-case cost that remains, by splits and by depth.
 
     Parameters
     ----------
-    record : dict
-        Of a scene for which the experiment ``depth`` was run.
+    record : SceneRecord
+    found : DepthResult
+        Of this scene.
     """
     with style():
         figure, axes = _figure(2, height=2.5, strip=_strip(record))
         left, right, gids = {}, {}, []
-        for tree in record["trees"]:
-            name = tree["builder"]
-            left[name] = np.array(tree["remaining_after_splits"], dtype=np.float64)
-            right[name] = np.array(tree["spent_by_depth"]) + tree["remaining_by_depth"]
+        for tree, cuts in zip(record.trees, found.trees, strict=True):
+            name = tree.builder
+            left[name] = np.array(cuts.remaining_after_splits, dtype=np.float64)
+            right[name] = np.array(cuts.spent_by_depth) + cuts.remaining_by_depth
             gids.append(
                 f"{_TIP}{name}|{name}: {left[name][0]:.4g} as one leaf, {left[name][3]:.4g} after "
                 f"7 splits, SAH {tree['sah']:.4g} when all is split"
@@ -232,17 +236,17 @@ def remaining(record: dict[str, Any]) -> Figure:
 
 
 def rotation(factors: pd.DataFrame) -> Figure:
-    """What turning the scenes costs, counted, against what SAH and SAH with EPO foretell.
+    """What rotating the scenes costs, counted, against what SAH and SAH with EPO predict.
 
     Parameters
     ----------
     factors : DataFrame
-        From :func:`mibvh.studies.measure.rotation.rotation_factors`.
+        From :func:`mibvh.studies.analyse.rotation.rotation_factors`.
     """
-    builders = list(dict.fromkeys(factors["builder"]))
+    builders, titles = list(dict.fromkeys(factors["builder"])), headings()
     with style():
         figure, axes = _figure(2, height=3.0)
-        for axis, name in zip(axes, ("sah", "predictor"), strict=True):
+        for axis, name in zip(axes, ("sah", "fitted"), strict=True):
             x, y = factors[name], factors["counted_cost"]
             ends = [min(x.min(), y.min()), max(x.max(), y.max())]
             axis.plot(ends, ends, color="#888888", lw=1, zorder=1)
@@ -255,7 +259,7 @@ def rotation(factors: pd.DataFrame) -> Figure:
                     axis.plot([row[name]], [row["counted_cost"]], "o", ms=4.5,
                               color=builder_colour(i), mec="none", alpha=0.85,
                               gid=f"{_TIP}{builder}|{tip}")  # fmt: skip
-            title = "SAH" if name == "sah" else "SAH + EPO, average α"
+            title = titles[name]
             _name(axis, title, "predicted factor", "factor of counted cost")
     return figure
 
@@ -271,14 +275,14 @@ def summary(table: pd.DataFrame) -> Figure:
     names = list(dict.fromkeys(table["predictor"]))
     shown = table[table["pearson"].notna()]
     with style():
-        figure, axes = _figure(len(MEASUREMENTS), height=3.45, bottom=1.07)
-        for axis, (measurement, title) in zip(axes, MEASUREMENTS.items(), strict=True):
-            rows = shown[shown["measurement"] == measurement]
+        figure, axes = _figure(len(targets()), height=3.45, bottom=1.07)
+        for axis, target in zip(axes, targets(), strict=True):
+            rows = shown[shown["measurement"] == target.name]
             for i, name in enumerate(names):
                 of = rows[rows["predictor"] == name]
                 jitter = np.linspace(-0.2, 0.2, len(of)) if len(of) > 1 else np.zeros(len(of))
                 for scene, r, dx in zip(of["scene"], of["pearson"], jitter, strict=True):
-                    tip = f"{scene}: r = {r:.4f}, {name}, {title}"
+                    tip = f"{scene}: r = {r:.4f}, {name}, {target.heading}"
                     axis.plot([i + dx], [r], "o", ms=4, color=builder_colour(i), alpha=0.85,
                               mec="none", gid=f"{_TIP}|{tip}")  # fmt: skip
                 if len(of):
@@ -287,7 +291,7 @@ def summary(table: pd.DataFrame) -> Figure:
                 range(len(names)), names, rotation=45, ha="right", rotation_mode="anchor"
             )
             axis.grid(False, axis="x")
-            _name(axis, title, "", "Pearson r over the trees")
+            _name(axis, target.heading, "", "Pearson r over the trees")
             if len(shown):
                 low = shown["pearson"].min()
                 axis.set_ylim(low - 0.05 * (1 - low), 1 + 0.03 * (1 - low))

@@ -7,13 +7,8 @@ from typing import Any
 
 from mibvh.errors import MibvhError
 
-#: The experiments of a study, and what each adds. The first is the base of all others.
-EXPERIMENTS = {
-    "prediction": "metrics, counted cost, scalar and SIMD time, repeatability; always done",
-    "depth": "where in the trees cost and overlap sit, and the worst case that remains",
-    "rotation": "the scene and its rays turned 45 degrees about (1, 1, 1), all trees built anew",
-    "sensitivity": "other leaf sizes, deeper bounces, fewer viewpoints, by counted cost",
-}
+#: The registered experiments, and what each adds; see :mod:`mibvh.studies.record.experiment`.
+EXPERIMENTS: dict[str, str] = {}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -25,11 +20,11 @@ class StudyOptions:
     builders : tuple of str
         Empty for all that are registered.
     experiments : tuple of str
-        From :data:`EXPERIMENTS`.
+        From :data:`EXPERIMENTS`; ``("all",)`` for all of them.
     width, height, samples, bounces, viewpoints, seed
         As for :func:`mibvh.diffuse_rays`; ``viewpoints`` 0 means all of a scene.
     scalar_rays : int
-        Largest number of rays timed with one lane per packet (every k-th of the set).
+        Largest number of rays timed with one lane per packet: every k-th ray of the set.
     seconds : float
         Time budget for the stopwatch, per scene and lane mode.
     standard_error : float
@@ -58,6 +53,12 @@ class StudyOptions:
         for name in ("viewpoints", "seconds", "standard_error"):
             if getattr(self, name) < 0:
                 raise MibvhError(f"{name} must not be negative, not {getattr(self, name)}")
+        for name in ("builders", "experiments"):
+            if isinstance(given := getattr(self, name), str):
+                raise MibvhError(f"{name} takes a tuple of names, such as ({given!r},), not a text")
+            object.__setattr__(self, name, tuple(given))
+        if self.experiments == ("all",):
+            object.__setattr__(self, "experiments", tuple(EXPERIMENTS))
         if unknown := sorted(set(self.experiments) - set(EXPERIMENTS)):
             raise MibvhError(
                 f"there is no experiment {unknown[0]!r}; there are: {', '.join(EXPERIMENTS)}"
@@ -84,6 +85,6 @@ PROFILES: dict[str, dict[str, Any]] = {
         "samples": 4,
         "scalar_rays": 131072,
         "seconds": 45.0,
-        "experiments": tuple(EXPERIMENTS),
+        "experiments": ("all",),
     },
 }
