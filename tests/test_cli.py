@@ -145,8 +145,19 @@ def test_usage_errors_exit_with_2(cli):
 
 @pytest.mark.parametrize(
     "command",
-    ["build", "metrics", "rays", "trace", "study", "report", "builders", "doctor", "scenes", "experiments",
-     "predictors"],
+    [
+        "build",
+        "metrics",
+        "rays",
+        "trace",
+        "study",
+        "report",
+        "builders",
+        "doctor",
+        "scenes",
+        "experiments",
+        "predictors",
+    ],
 )
 def test_help(cli, command):
     code, out, _ = cli(command, "--help")
