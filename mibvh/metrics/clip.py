@@ -31,14 +31,13 @@ class Polygons(NamedTuple):
     area: Any
 
 
-@njit
-def room(rows):
+def room(rows: int) -> Polygons:
     """Return room for so many polygons."""
     return Polygons(
-        np.empty((rows, _CORNERS, 3)),
-        np.empty((rows, 6)),
-        np.empty(rows, np.int64),
-        np.empty(rows),
+        corners=np.zeros((rows, _CORNERS, 3)),
+        limits=np.zeros((rows, 6)),
+        count=np.zeros(rows, np.int64),
+        area=np.zeros(rows),
     )
 
 

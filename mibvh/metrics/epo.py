@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.metrics.overlap_walk import Nodes, walk
+from mibvh.metrics.overlap_walk import Nodes, walk, workspace
 from mibvh.metrics.points import Estimate, RayEnds, epo_at_ends, estimate_epo, triangle_positions
 from mibvh.metrics.sah import node_costs
 from mibvh.parallel import run_blocks, thread_count
@@ -115,12 +115,13 @@ def overlap(
     workers = threads or thread_count()
     sums = np.zeros((workers, len(tree)), np.int64)
     counts = np.zeros((workers, 3), np.int64)
+    work_on = [workspace(tree.depth) for _ in range(workers)]
     unit = 1.0 / (total * _UNIT)
 
     def work(worker: int, begin: int, end: int) -> None:
         counts[worker] += walk(
             begin, end, walked, fragments, triangles.corners, density, starts, positions,
-            tree.references, nodes, tree.depth, unit, sums[worker],
+            tree.references, nodes, unit, work_on[worker], sums[worker],
         )  # fmt: skip
 
     run_blocks(work, len(tree.references), _BLOCK, workers, progress)

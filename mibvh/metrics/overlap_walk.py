@@ -43,58 +43,64 @@ class Work(NamedTuple):
     holder : (levels,) int64
         The row of the polygon inside the node that is at a level now; where it is all of its
         parent's, that is the parent's row.
-    stack, stack_level : int32
-        Foreign nodes to visit.
-    own, own_level, own_begin, own_end : int32, int64
-        Own nodes to visit, and which of the triangle's positions lie below each.
+    stack : (., 2) int32
+        Foreign nodes to visit: node, level.
+    own : (., 4) int64
+        Own nodes to visit: node, level, and which of the triangle's positions lie below it.
     alone : (1,) int32
         A list of one node.
+    path : (., 4) int32
+        Nodes to visit on the way to the block's leaves: node, depth, and where those siblings
+        of it and of its ancestors are listed that touch it.
+    at : (., 3) int32
+        The node that is at a depth now, and where its siblings are listed.
+    siblings : int32
+        The lists.
     """
 
     polygons: Polygons
     holder: Any
     stack: Any
-    stack_level: Any
     own: Any
-    own_level: Any
-    own_begin: Any
-    own_end: Any
     alone: Any
+    path: Any
+    at: Any
+    siblings: Any
 
 
-@njit
-def _work(depth):
+def workspace(depth: int) -> Work:
+    """Return what one thread writes on, for a tree of a depth."""
     size = 2 * depth + 4
+    i32, i64 = np.int32, np.int64
     return Work(
-        room(2 * depth + 6),
-        np.empty(depth + 2, np.int64),
-        np.empty(size, np.int32),
-        np.empty(size, np.int32),
-        np.empty(size, np.int32),
-        np.empty(size, np.int32),
-        np.empty(size, np.int64),
-        np.empty(size, np.int64),
-        np.empty(1, np.int32),
+        polygons=room(2 * depth + 6),
+        holder=np.zeros(depth + 2, i64),
+        stack=np.zeros((size, 2), i32),
+        own=np.zeros((size, 4), i64),
+        alone=np.zeros(1, i32),
+        path=np.zeros((size, 4), i32),
+        at=np.zeros((depth + 2, 3), i32),
+        siblings=np.zeros((depth + 2) ** 2, i32),
     )
 
 
-@njit(allocates=False)
+@njit(inline="always")
 def _foreign(nodes, subtrees, low, high, row, base, weight, work, sums):
     """Add the areas of the polygon in a row inside ``subtrees[low:high]`` and all below them.
 
     ``base`` is the level of these subtrees. Returns the pairs, boxes and clips it took.
     """
-    polygons, holder, stack, stack_level = work.polygons, work.holder, work.stack, work.stack_level
+    polygons, holder, stack = work.polygons, work.holder, work.stack
     box, left = nodes.box, nodes.left
     pairs = visits = clips = 0
     for s in range(low, high):
         visits += 1
         if not touches(polygons.limits, row, box, subtrees[s]):
             continue
-        stack[0], stack_level[0], top = subtrees[s], base, 1
+        stack[0, 0], stack[0, 1], top = subtrees[s], base, 1
         while top > 0:
             top -= 1
-            node, level = stack[top], np.int64(stack_level[top])
+            node, level = stack[top, 0], np.int64(stack[top, 1])
             h = row if level == base else holder[level - 1]
             inside, n = clip(polygons, h, box, node, 2 * level + 2)
             if inside != h:
@@ -109,7 +115,7 @@ def _foreign(nodes, subtrees, low, high, row, base, weight, work, sums):
             for child in range(left[node], left[node] + 2):
                 visits += 1
                 if touches(polygons.limits, inside, box, child):
-                    stack[top], stack_level[top] = child, level + 1
+                    stack[top, 0], stack[top, 1] = child, level + 1
                     top += 1
     return pairs, visits, clips
 
@@ -120,15 +126,13 @@ def _below(nodes, junction, positions, begin, end, row, weight, work, sums):
 
     Its references are at ``positions[begin:end]``, ascending. Returns pairs, boxes and clips.
     """
-    polygons, holder, alone = work.polygons, work.holder, work.alone
-    own, own_level, own_begin, own_end = work.own, work.own_level, work.own_begin, work.own_end
+    polygons, holder, own, alone = work.polygons, work.holder, work.own, work.alone
     box, left, first = nodes.box, nodes.left, nodes.first
     pairs = visits = clips = 0
-    own[0], own_level[0], own_begin[0], own_end[0], top = junction, 0, begin, end, 1
+    own[0, 0], own[0, 1], own[0, 2], own[0, 3], top = junction, 0, begin, end, 1
     while top > 0:
         top -= 1
-        node, level = own[top], np.int64(own_level[top])
-        low, high = own_begin[top], own_end[top]
+        node, level, low, high = own[top, 0], own[top, 1], own[top, 2], own[top, 3]
         h = row
         if level > 0:
             h = holder[level - 1]
@@ -148,8 +152,8 @@ def _below(nodes, junction, positions, begin, end, row, weight, work, sums):
             visits += 1
             if some < end_of_some:
                 if left[child] >= 0:
-                    own[top], own_level[top] = child, level + 1
-                    own_begin[top], own_end[top] = some, end_of_some
+                    own[top, 0], own[top, 1] = child, level + 1
+                    own[top, 2], own[top, 3] = some, end_of_some
                     top += 1
             elif touches(polygons.limits, h, box, child):
                 alone[0] = child
@@ -158,43 +162,34 @@ def _below(nodes, junction, positions, begin, end, row, weight, work, sums):
     return pairs, visits, clips
 
 
-@njit
+@njit(allocates=False)
 def walk(
     begin, end, walked, cut_to_leaf, corners, weights, starts, positions, references, nodes,
-    depth, unit, sums,
+    unit, work, sums,
 ):  # fmt: skip
     """Add the foreign areas of the references ``begin`` to ``end`` to ``sums`` (M,) int64.
 
     ``walked`` says which references stand for their triangle, the first of each; with
     ``cut_to_leaf`` every one stands for the part of its triangle in its leaf's box.
     """
-    work = _work(depth)
     polygons, limits = work.polygons, work.polygons.limits
     box, left, first, count = nodes.box, nodes.left, nodes.first, nodes.count
-    path = np.empty(2 * depth + 4, np.int32)
-    path_level = np.empty(2 * depth + 4, np.int32)
-    path_low = np.empty(2 * depth + 4, np.int32)
-    path_high = np.empty(2 * depth + 4, np.int32)
-    # The node that is at a level now, and where its siblings are listed.
-    at = np.empty(depth + 2, np.int32)
-    at_low = np.empty(depth + 2, np.int32)
-    at_high = np.empty(depth + 2, np.int32)
-    siblings = np.empty((depth + 2) * (depth + 2), np.int32)
+    path, at, siblings = work.path, work.at, work.siblings
     pairs = visits = clips = 0
-    path[0], path_level[0], path_low[0], path_high[0], top = 0, 0, 0, 0, 1
+    path[0, 0], path[0, 1], path[0, 2], path[0, 3], top = 0, 0, 0, 0, 1
     while top > 0:
         top -= 1
-        node, level, low, high = path[top], path_level[top], path_low[top], path_high[top]
+        node, level, low, high = path[top, 0], path[top, 1], path[top, 2], path[top, 3]
         if first[node] >= end or first[node] + count[node] <= begin:
             continue
-        at[level], at_low[level], at_high[level] = node, low, high
+        at[level, 0], at[level, 1], at[level, 2] = node, low, high
         if left[node] >= 0:
             # -- pass on the siblings that touch each child, and the other child; the lists of both
             # are written now, one behind the other, and stay until the children are done with
             for c in range(2):
                 child, other = left[node] + c, left[node] + 1 - c
-                place = high if c == 0 else path_high[top - 1]
-                path[top], path_level[top], path_low[top] = child, level + 1, place
+                place = high if c == 0 else path[top - 1, 3]
+                path[top, 0], path[top, 1], path[top, 2] = child, level + 1, place
                 for k in range(6):
                     limits[0, k] = box[child, k]
                 for i in range(low, high + 1):
@@ -203,7 +198,7 @@ def walk(
                     if touches(limits, 0, box, sibling):
                         siblings[place] = sibling
                         place += 1
-                path_high[top] = place
+                path[top, 3] = place
                 top += 1
             continue
         for position in range(max(begin, first[node]), min(end, first[node] + count[node])):
@@ -223,16 +218,16 @@ def walk(
             item = position if cut_to_leaf else t
             start, stop = starts[item], starts[item + 1]
             up = level
-            while first[at[up]] > positions[start] or (
-                positions[stop - 1] >= first[at[up]] + count[at[up]]
+            while first[at[up, 0]] > positions[start] or (
+                positions[stop - 1] >= first[at[up, 0]] + count[at[up, 0]]
             ):
                 up -= 1
             weight = weights[t] * unit
             found = _foreign(
-                nodes, siblings, at_low[up], at_high[up], row, 0, weight, work, sums
+                nodes, siblings, at[up, 1], at[up, 2], row, 0, weight, work, sums
             )
             pairs, visits, clips = pairs + found[0], visits + found[1], clips + found[2]
             if up < level:
-                found = _below(nodes, at[up], positions, start, stop, row, weight, work, sums)
+                found = _below(nodes, at[up, 0], positions, start, stop, row, weight, work, sums)
                 pairs, visits, clips = pairs + found[0], visits + found[1], clips + found[2]
     return pairs, visits, clips
