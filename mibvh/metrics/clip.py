@@ -8,17 +8,18 @@ import numpy as np
 
 from mibvh._jit import njit
 
-#: A triangle cut by six planes has at most nine corners.
-_CORNERS = 10
+#: Numbers in a row: a triangle cut by six planes has at most nine corners of three coordinates.
+_ROW = 36
 
 
 class Polygons(NamedTuple):
-    """Room for polygons, a row each.
+    """Room for polygons, a row each. Rows lie end to end, as constant strides are faster.
 
     Attributes
     ----------
-    corners : (rows, 10, 3) float64
-    limits : (rows, 6) float64
+    corners : (rows * 30,) float64
+        Up to ten corners.
+    limits : (rows * 6,) float64
         Each polygon's box, lower corner first; it may be larger than the polygon.
     count : (rows,) int64
         Corners in use.
@@ -34,11 +35,20 @@ class Polygons(NamedTuple):
 def room(rows: int) -> Polygons:
     """Return room for so many polygons."""
     return Polygons(
-        corners=np.zeros((rows, _CORNERS, 3)),
-        limits=np.zeros((rows, 6)),
+        corners=np.zeros(rows * _ROW),
+        limits=np.zeros(rows * 6),
         count=np.zeros(rows, np.int64),
         area=np.zeros(rows),
     )
+
+
+@njit(inline="always")
+def put_triangle(polygons, row, corners, t):
+    """Write a triangle, ``corners[t]``, to a row; return its area."""
+    for i in range(3):
+        for k in range(3):
+            polygons.corners[_ROW * row + 3 * i + k] = corners[t, i, k]
+    return measure(polygons, row, 3)
 
 
 @njit(inline="always")
@@ -47,38 +57,38 @@ def _cut(corners, source, n, target, axis, limit, sign):
 
     From one row of ``corners`` to another; returns the corner count.
     """
-    m = 0
-    px, py, pz = corners[source, n - 1, 0], corners[source, n - 1, 1], corners[source, n - 1, 2]
-    p = sign * (corners[source, n - 1, axis] - limit)
-    for i in range(n):
-        qx, qy, qz = corners[source, i, 0], corners[source, i, 1], corners[source, i, 2]
-        q = sign * (corners[source, i, axis] - limit)
-        if (p >= 0.0) != (q >= 0.0):
-            s = p / (p - q)
-            corners[target, m, 0] = px + s * (qx - px)
-            corners[target, m, 1] = py + s * (qy - py)
-            corners[target, m, 2] = pz + s * (qz - pz)
-            corners[target, m, axis] = limit
-            m += 1
-        if q >= 0.0:
-            corners[target, m, 0] = qx
-            corners[target, m, 1] = qy
-            corners[target, m, 2] = qz
-            m += 1
+    begin = place = _ROW * target
+    last = _ROW * source + 3 * n - 3
+    px, py, pz = corners[last], corners[last + 1], corners[last + 2]
+    p = sign * (corners[last + axis] - limit)
+    for i in range(_ROW * source, last + 3, 3):
+        qx, qy, qz = corners[i], corners[i + 1], corners[i + 2]
+        q = sign * (corners[i + axis] - limit)
+        s = p / (p - q)
+        corners[place] = px + s * (qx - px)
+        corners[place + 1] = py + s * (qy - py)
+        corners[place + 2] = pz + s * (qz - pz)
+        corners[place + axis] = limit
+        place += 3 * ((p >= 0.0) != (q >= 0.0))
+        corners[place] = qx
+        corners[place + 1] = qy
+        corners[place + 2] = qz
+        place += 3 * (q >= 0.0)
         px, py, pz, p = qx, qy, qz, q
-    return m
+    return (place - begin) // 3
 
 
 @njit(inline="always")
 def measure(polygons, row, n):
     """Write the corner count, the box and the area of the polygon in a row; return the area."""
     corners, limits = polygons.corners, polygons.limits
+    begin = _ROW * row
     x = y = z = 0.0
-    ax, ay, az = corners[row, 0, 0], corners[row, 0, 1], corners[row, 0, 2]
+    ax, ay, az = corners[begin], corners[begin + 1], corners[begin + 2]
     x0, y0, z0, x1, y1, z1 = ax, ay, az, ax, ay, az
     ux = uy = uz = 0.0
-    for i in range(1, n):
-        bx, by, bz = corners[row, i, 0], corners[row, i, 1], corners[row, i, 2]
+    for i in range(begin + 3, begin + 3 * n, 3):
+        bx, by, bz = corners[i], corners[i + 1], corners[i + 2]
         x0, y0, z0 = min(x0, bx), min(y0, by), min(z0, bz)
         x1, y1, z1 = max(x1, bx), max(y1, by), max(z1, bz)
         vx, vy, vz = bx - ax, by - ay, bz - az
@@ -86,8 +96,9 @@ def measure(polygons, row, n):
         y += uz * vx - ux * vz
         z += ux * vy - uy * vx
         ux, uy, uz = vx, vy, vz
-    limits[row, 0], limits[row, 1], limits[row, 2] = x0, y0, z0
-    limits[row, 3], limits[row, 4], limits[row, 5] = x1, y1, z1
+    place = 6 * row
+    limits[place], limits[place + 1], limits[place + 2] = x0, y0, z0
+    limits[place + 3], limits[place + 4], limits[place + 5] = x1, y1, z1
     area = 0.5 * np.sqrt(x * x + y * y + z * z)
     polygons.count[row] = n
     polygons.area[row] = area
@@ -102,36 +113,35 @@ def clip(polygons, row, box, node, spare):
     result, unmeasured unless it is the one given, and its corner count, below three for nothing
     left.
     """
-    corners, limits = polygons.corners, polygons.limits
+    # The box of what is left may no longer cross the next planes; that of the polygon given is
+    # used to the end, as cutting in vain costs less than measuring.
+    limits, given = polygons.limits, 6 * row
     n = polygons.count[row]
     for plane in range(6):
-        k = plane % 3
+        bound = np.float64(box[6 * node + plane])
         if plane < 3:
-            if limits[row, k] >= box[node, k]:
+            if limits[given + plane] >= bound:
                 continue
-        elif limits[row, k + 3] <= box[node, k + 3]:
+        elif limits[given + plane] <= bound:
             continue
         target = spare + 1 if row == spare else spare
         sign = 1.0 if plane < 3 else -1.0
-        n = _cut(corners, row, n, target, k, np.float64(box[node, plane]), sign)
-        if n < 3:
-            return target, n
-        # The box of what is left may no longer cross the next planes; the old one is kept, as
-        # cutting in vain costs less than measuring.
-        for i in range(6):
-            limits[target, i] = limits[row, i]
+        n = _cut(polygons.corners, row, n, target, plane % 3, bound, sign)
         row = target
+        if n < 3:
+            break
     return row, n
 
 
 @njit(inline="always")
 def touches(limits, row, box, node):
     """Whether the closed box in a row of ``limits`` and that of a node have a point in common."""
+    a, b = 6 * row, 6 * node
     return (
-        limits[row, 0] <= box[node, 3]
-        and limits[row, 3] >= box[node, 0]
-        and limits[row, 1] <= box[node, 4]
-        and limits[row, 4] >= box[node, 1]
-        and limits[row, 2] <= box[node, 5]
-        and limits[row, 5] >= box[node, 2]
+        limits[a] <= box[b + 3]
+        and limits[a + 3] >= box[b]
+        and limits[a + 1] <= box[b + 4]
+        and limits[a + 4] >= box[b + 1]
+        and limits[a + 2] <= box[b + 5]
+        and limits[a + 5] >= box[b + 2]
     )

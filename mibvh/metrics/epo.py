@@ -110,7 +110,7 @@ def overlap(
         starts, positions = triangle_positions(tree, len(triangles))
         walked = np.zeros(len(tree.references), np.bool_)
         walked[positions[starts[:-1][starts[:-1] < starts[1:]]]] = True
-    box = np.concatenate([tree.lower, tree.upper], axis=1)
+    box = np.concatenate([tree.lower, tree.upper], axis=1).ravel()
     nodes = Nodes(box, tree.left, tree.first, tree.count)
     workers = threads or thread_count()
     sums = np.zeros((workers, len(tree)), np.int64)

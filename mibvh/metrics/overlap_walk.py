@@ -19,11 +19,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mibvh._jit import njit
-from mibvh.metrics.clip import Polygons, clip, measure, room, touches
+from mibvh.metrics.clip import Polygons, clip, measure, put_triangle, room, touches
 
 
 class Nodes(NamedTuple):
-    """A tree's arrays as the walk reads them: ``box`` is (M, 6), lower corners first."""
+    """A tree's arrays as the walk reads them: ``box`` is (6 M,): each lower and upper corner."""
 
     box: Any
     left: Any
@@ -43,8 +43,8 @@ class Work(NamedTuple):
     holder : (levels,) int64
         The row of the polygon inside the node that is at a level now; where it is all of its
         parent's, that is the parent's row.
-    stack : (., 2) int32
-        Foreign nodes to visit: node, level.
+    stack, stack_level : int64
+        Foreign nodes to visit.
     own : (., 4) int64
         Own nodes to visit: node, level, and which of the triangle's positions lie below it.
     alone : (1,) int32
@@ -61,6 +61,7 @@ class Work(NamedTuple):
     polygons: Polygons
     holder: Any
     stack: Any
+    stack_level: Any
     own: Any
     alone: Any
     path: Any
@@ -75,7 +76,8 @@ def workspace(depth: int) -> Work:
     return Work(
         polygons=room(2 * depth + 6),
         holder=np.zeros(depth + 2, i64),
-        stack=np.zeros((size, 2), i32),
+        stack=np.zeros(size, i64),
+        stack_level=np.zeros(size, i64),
         own=np.zeros((size, 4), i64),
         alone=np.zeros(1, i32),
         path=np.zeros((size, 4), i32),
@@ -90,17 +92,17 @@ def _foreign(nodes, subtrees, low, high, row, base, weight, work, sums):
 
     ``base`` is the level of these subtrees. Returns the pairs, boxes and clips it took.
     """
-    polygons, holder, stack = work.polygons, work.holder, work.stack
+    polygons, holder, stack, stack_level = work.polygons, work.holder, work.stack, work.stack_level
     box, left = nodes.box, nodes.left
     pairs = visits = clips = 0
     for s in range(low, high):
         visits += 1
         if not touches(polygons.limits, row, box, subtrees[s]):
             continue
-        stack[0, 0], stack[0, 1], top = subtrees[s], base, 1
+        stack[0], stack_level[0], top = subtrees[s], base, 1
         while top > 0:
             top -= 1
-            node, level = stack[top, 0], np.int64(stack[top, 1])
+            node, level = stack[top], stack_level[top]
             h = row if level == base else holder[level - 1]
             inside, n = clip(polygons, h, box, node, 2 * level + 2)
             if inside != h:
@@ -115,7 +117,7 @@ def _foreign(nodes, subtrees, low, high, row, base, weight, work, sums):
             for child in range(left[node], left[node] + 2):
                 visits += 1
                 if touches(polygons.limits, inside, box, child):
-                    stack[top, 0], stack[top, 1] = child, level + 1
+                    stack[top], stack_level[top] = child, level + 1
                     top += 1
     return pairs, visits, clips
 
@@ -191,7 +193,7 @@ def walk(
                 place = high if c == 0 else path[top - 1, 3]
                 path[top, 0], path[top, 1], path[top, 2] = child, level + 1, place
                 for k in range(6):
-                    limits[0, k] = box[child, k]
+                    limits[k] = box[6 * child + k]
                 for i in range(low, high + 1):
                     sibling = siblings[i] if i < high else other
                     visits += 1
@@ -205,11 +207,8 @@ def walk(
             t = references[position]
             if not walked[position] or weights[t] == 0.0:
                 continue
-            for i in range(3):
-                for k in range(3):
-                    polygons.corners[0, i, k] = corners[t, i, k]
-            row, n = np.int64(0), np.int64(3)
-            if measure(polygons, 0, 3) == 0.0:
+            row = np.int64(0)
+            if put_triangle(polygons, 0, corners, t) == 0.0:
                 continue
             if cut_to_leaf:
                 row, n = clip(polygons, 0, box, node, 0)
