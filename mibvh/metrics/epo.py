@@ -32,7 +32,7 @@ from mibvh.triangles import F64, as_triangles
 
 #: Areas are accumulated as integers in these units of the total area.
 _UNIT = 2.0**-60
-_BLOCK = 2048
+_BLOCK = 8192
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
