@@ -34,7 +34,7 @@ def test_estimate_covers_the_exact_value():
 def test_estimate_is_better_than_its_points_alone():
     triangles = soup(400, 2, size=0.2)
     tree = mibvh.build(triangles, "lbvh")
-    found = mibvh.epo(tree, triangles, samples=4000)
+    found = mibvh.estimate_epo(tree, triangles, 4000)
     rng = np.random.default_rng(0)
     ids = rng.choice(len(triangles), 4000, p=triangles.areas / triangles.areas.sum()).astype(
         np.int32
@@ -42,7 +42,7 @@ def test_estimate_is_better_than_its_points_alone():
     plain = point_costs(tree, triangles, points_on(triangles, ids), ids)[:, 0]
     assert 0 < found.standard_error < plain.std() / np.sqrt(4000)
     with pytest.raises(mibvh.MibvhError, match="at least 4 points"):
-        mibvh.epo(tree, triangles, samples=2)
+        mibvh.estimate_epo(tree, triangles, 2)
 
 
 def test_density_follows_where_rays_end():
@@ -91,7 +91,7 @@ def test_epo_at_ends_agrees_with_the_density(traced):
     tree, triangles, rays, hits = traced
     starts, ends = mibvh.ray_ends(triangles, rays, hits)
     both = starts.joined(ends)
-    at_points = mibvh.epo(tree, triangles, ray_ends=both)
+    at_points = mibvh.epo_at_ends(tree, triangles, both)
     by_density = mibvh.epo(tree, triangles, weights=both.density(triangles))
     evenly = mibvh.epo(tree, triangles)
     assert abs(at_points.value - by_density) < 0.15 * at_points.value

@@ -15,7 +15,7 @@ to the last bit for any number of threads.
 from __future__ import annotations
 
 import dataclasses
-import typing
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from mibvh.errors import MibvhError
 from mibvh.metrics.overlap_walk import Nodes, walk, workspace
-from mibvh.metrics.points import Estimate, RayEnds, epo_at_ends, estimate_epo, triangle_positions
+from mibvh.metrics.points import epo_at_ends, estimate_epo, triangle_positions
 from mibvh.metrics.sah import node_costs
 from mibvh.parallel import run_blocks, thread_count
 from mibvh.tree import Tree
@@ -150,11 +150,6 @@ def epo_per_depth(tree: Tree, triangles: Any, **options: Any) -> F64:
     return np.bincount(tree.depths, shares, tree.depth + 1).astype(np.float64)
 
 
-@typing.overload
-def epo(tree: Tree, triangles: Any, *, samples: int, seed: int = 0) -> Estimate: ...
-@typing.overload
-def epo(tree: Tree, triangles: Any, *, ray_ends: RayEnds) -> Estimate: ...
-@typing.overload
 def epo(
     tree: Tree,
     triangles: Any,
@@ -163,47 +158,64 @@ def epo(
     fragments: bool = False,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
-) -> float: ...
-def epo(
-    tree: Tree,
-    triangles: Any,
-    *,
-    samples: int | None = None,
-    seed: int = 0,
-    ray_ends: RayEnds | None = None,
-    **options: Any,
-) -> float | Estimate:
+    **deprecated: Any,
+) -> float:
     """Expected extra cost of a point query at a ray's end, due to overlap.
+
+    :func:`mibvh.estimate_epo` estimates it from points on the surfaces, for scenes where the
+    exact value takes too long; :func:`mibvh.epo_at_ends` takes the points where rays end.
 
     Parameters
     ----------
     tree : Tree
     triangles : Triangles or (N, 3, 3) array
         What the tree was built for.
-    samples : int, optional
-        Estimate it from so many points on the surfaces instead, stratified by area: for scenes
-        where the exact value takes too long, such as dense hair.
-    seed : int
-        Of the points.
-    ray_ends : RayEnds, optional
-        Where rays begin or end (:func:`mibvh.ray_ends`): average over these points instead of
-        evenly over all surfaces.
-    **options
-        For the exact value, as for :func:`overlap`.
+    weights : (N,) array, optional
+        Density of ray ends on each triangle, up to a factor; by default the same on all, as
+        in the paper.
+    fragments : bool
+        Whether a reference owns only the part of its triangle in its leaf's box; see
+        :func:`mibvh.metrics.epo.overlap`.
+    threads : int, optional
+        The result is the same to the last bit for any number.
+    progress : callable, optional
+        Called with the share done.
+    **deprecated
+        ``samples`` and ``seed``, or ``ray_ends``: what the functions named above take.
 
     Returns
     -------
-    float or Estimate
+    float
         In units of the cost constants that the tree was built with; 0 where no surface lies
-        in a foreign node. With ``samples`` or ``ray_ends``, an estimate with its standard error.
+        in a foreign node.
 
     Raises
     ------
     MibvhError
-        If the tree was built for another geometry, or there are too few points.
+        If the tree was built for another geometry, or a weight is missing or negative.
     """
-    if samples is not None:
-        return estimate_epo(tree, triangles, samples, seed)
-    if ray_ends is not None:
-        return epo_at_ends(tree, triangles, ray_ends)
-    return float(epo_per_node(tree, triangles, **options).sum())
+    exact = {
+        "weights": weights, "fragments": fragments, "threads": threads, "progress": progress,
+    }  # fmt: skip
+    if deprecated:
+        return _estimated(tree, triangles, exact, deprecated)
+    return float(epo_per_node(tree, triangles, **exact).sum())
+
+
+def _estimated(tree: Tree, triangles: Any, exact: dict[str, Any], asked: dict[str, Any]) -> Any:
+    """Return what ``epo(samples=...)`` and ``epo(ray_ends=...)`` were before 0.2, an Estimate."""
+    for name in asked:
+        if name not in ("samples", "seed", "ray_ends"):
+            raise TypeError(f"epo() got an unexpected keyword argument {name!r}")
+    given = sorted([name for name, value in exact.items() if value] + list(asked))
+    if given not in (["samples"], ["samples", "seed"], ["ray_ends"]):
+        raise MibvhError(f"epo() takes no {' and '.join(given)} together")
+    instead = "epo_at_ends" if "ray_ends" in asked else "estimate_epo"
+    warnings.warn(
+        f"epo({', '.join(f'{name}=' for name in given)}) is now {instead}()",
+        DeprecationWarning,
+        stacklevel=3,
+    )
+    if "ray_ends" in asked:
+        return epo_at_ends(tree, triangles, asked["ray_ends"])
+    return estimate_epo(tree, triangles, **asked)

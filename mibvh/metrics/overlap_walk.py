@@ -212,7 +212,7 @@ def walk(
                 continue
             if cut_to_leaf:
                 row, n = clip(polygons, 0, box, node, 0)
-                if n < 3 or (row != 0 and measure(polygons, row, n) == 0.0):
+                if n < 3 or measure(polygons, row, n) == 0.0:
                     continue
             item = position if cut_to_leaf else t
             start, stop = starts[item], starts[item + 1]
@@ -222,9 +222,7 @@ def walk(
             ):
                 up -= 1
             weight = weights[t] * unit
-            found = _foreign(
-                nodes, siblings, at[up, 1], at[up, 2], row, 0, weight, work, sums
-            )
+            found = _foreign(nodes, siblings, at[up, 1], at[up, 2], row, 0, weight, work, sums)
             pairs, visits, clips = pairs + found[0], visits + found[1], clips + found[2]
             if up < level:
                 found = _below(nodes, at[up, 0], positions, start, stop, row, weight, work, sums)
