@@ -83,16 +83,19 @@ def layers(seed: int = 0) -> np.ndarray:
         i, j = (v.ravel() for v in np.meshgrid(np.arange(cells), np.arange(cells), indexing="ij"))
         grid = [np.stack([g[i + a], g[j + b]], 1) for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))]
         height = [0.01 * level + 0.3 * xy[:, :1] + 0.1 * xy[:, 1:] ** 2 for xy in grid]
-        parts.append(_quads(*(np.hstack([xy * [5, 3], z]) for xy, z in zip(grid, height,
-                                                                           strict=True))))  # fmt: skip
+        corners = [np.hstack([grid[c] * [5, 3], height[c]]) for c in range(4)]
+        parts.append(_quads(*corners))
     for low in rng.random((40, 3)) * [5, 3, 0.4]:
         parts.append(_box(low, low + rng.uniform(0.01, 0.1, 3)))
     return np.concatenate(parts).astype(np.float32)
 
 
 CUTS: dict[str, Callable[..., np.ndarray]] = {
-    "pipes": pipes, "tiles": tiles, "needles": needles, "layers": layers,
-}  # fmt: skip
+    "pipes": pipes,
+    "tiles": tiles,
+    "needles": needles,
+    "layers": layers,
+}
 
 #: Trees with triangles in several leaves: builders that split, and optimisers started from them.
 SPLIT_TREES: dict[str, tuple[str, dict[str, object]]] = {

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from conftest import closed_box, scene_record, soup, tree_row
@@ -213,3 +215,18 @@ def test_trees_of_one_scene_do_not_tell_more_of_step_costs_for_being_many():
         found = calibrate(records)
         widths.append(found.c_inner_high - found.c_inner_low)
     assert widths[1] > 0.6 * widths[0]
+
+
+def test_only_what_lies_in_the_box_counts_for_the_path_length():
+    """Rays from outside the unit cube, past it, and with an end of their own; mean chord 2/3."""
+    box = mibvh.Triangles(closed_box())
+    o = np.array([[0.5, 0.5, -3], [0.5, 5, -3], [0.5, 0.5, 0.25]], np.float32)
+    d = np.array([[0, 0, 1], [0, 0, 1], [0, 1, 0]], np.float32)
+    zeros = np.zeros(3, np.int32)
+    tmax = np.array([np.inf, np.inf, 0.125], np.float32)
+    rays = mibvh.RaySet(o, d, tmax, zeros, zeros, zeros)
+    hits = mibvh.trace(mibvh.build(box, "bbvh"), box, rays, repeats=1)
+    # The first ends where it enters, the second misses, the third ends by itself.
+    assert path_length_ratio(box, rays, hits) == pytest.approx(0.125 / 3 / (2 / 3))
+    all_miss = dataclasses.replace(hits, t=np.full(3, np.inf, np.float32))
+    assert path_length_ratio(box, rays, all_miss) == pytest.approx((1 + 0.125) / 3 / (2 / 3))

@@ -5,11 +5,11 @@ that belong to triangles referenced below the node, as far as they lie in the no
 box. A triangle with any reference below a node counts as the node's own (triangle-level
 exclusion), so that a spatial partition has an EPO of zero.
 
-The walk goes triangle by triangle through the subtrees beside the triangle's own path. The part
-of the triangle inside a foreign node is clipped from the part inside that node's parent, so that
-most clips cut a small polygon by one or two planes, and one inside a box is not clipped. Areas
-are summed as 64-bit integers in units of 2**-60 of the total, so that the result is the same
-to the last bit for any number of threads.
+The walk (:mod:`mibvh.metrics.overlap_walk`) goes triangle by triangle through the subtrees beside
+the triangle's own paths. The part of the triangle inside a node is clipped from the part inside
+that node's parent, so that most clips cut a small polygon by one or two planes, and one inside a
+box is not clipped. Areas are summed as 64-bit integers in units of 2**-60 of the total, so that
+the result is the same to the last bit for any number of threads.
 """
 
 from __future__ import annotations
@@ -195,8 +195,11 @@ def epo(
         If the tree was built for another geometry, or a weight is missing or negative.
     """
     exact = {
-        "weights": weights, "fragments": fragments, "threads": threads, "progress": progress,
-    }  # fmt: skip
+        "weights": weights,
+        "fragments": fragments,
+        "threads": threads,
+        "progress": progress,
+    }
     if deprecated:
         return _estimated(tree, triangles, exact, deprecated)
     return float(epo_per_node(tree, triangles, **exact).sum())
@@ -207,7 +210,8 @@ def _estimated(tree: Tree, triangles: Any, exact: dict[str, Any], asked: dict[st
     for name in asked:
         if name not in ("samples", "seed", "ray_ends"):
             raise TypeError(f"epo() got an unexpected keyword argument {name!r}")
-    given = sorted([name for name, value in exact.items() if value] + list(asked))
+    idle = {name for name, value in exact.items() if value is None or value is False}
+    given = sorted((set(exact) - idle) | set(asked))
     if given not in (["samples"], ["samples", "seed"], ["ray_ends"]):
         raise MibvhError(f"epo() takes no {' and '.join(given)} together")
     instead = "epo_at_ends" if "ray_ends" in asked else "estimate_epo"
