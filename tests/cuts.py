@@ -6,6 +6,7 @@ small ones, sheets lie in one plane or a hair apart, and boxes are flat.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -108,16 +109,17 @@ SPLIT_TREES: dict[str, tuple[str, dict[str, object]]] = {
     "treelet from sbvh": ("treelet", {"start": "sbvh"}),
 }
 
-_MADE: dict[tuple[str, str], tuple[mibvh.Triangles, mibvh.Tree]] = {}
+#: An arbitrary rotation.
+_TILT = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
 
 
-def cut(name: str, tree: str) -> tuple[mibvh.Triangles, mibvh.Tree]:
-    """Triangles of a cut, and a split tree over them; made once."""
-    if (name, tree) not in _MADE:
-        triangles = mibvh.Triangles(CUTS[name](), name)
-        builder, options = SPLIT_TREES[tree]
-        _MADE[name, tree] = triangles, mibvh.build(triangles, builder, **options)
-    return _MADE[name, tree]
+@functools.cache
+def cut(name: str, tree: str, tilted: bool = False) -> tuple[mibvh.Triangles, mibvh.Tree]:
+    """Triangles of a cut, and a split tree over them; if tilted, with no face along an axis."""
+    corners = CUTS[name]()
+    triangles = mibvh.Triangles((corners @ _TILT.T).astype(np.float32) if tilted else corners, name)
+    builder, options = SPLIT_TREES[tree]
+    return triangles, mibvh.build(triangles, builder, **options)
 
 
 #: Every cut with every kind of tree: ``@every_cut`` calls a test with ``triangles, tree``.

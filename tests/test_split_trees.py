@@ -32,7 +32,7 @@ def test_epo(name, kind):
     assert mibvh.epo(tree, triangles) == pytest.approx(twins.node_costs(tree) @ expected, rel=1e-12)
 
 
-@every_cut
+@few_trees
 def test_epo_of_fragments(name, kind):
     triangles, tree = cut(name, kind)
     expected = twins.fragment_fractions(tree, triangles)
