@@ -8,7 +8,7 @@ from cuts import CUTS, cut, every_cut
 from test_traversal import STYLES, assert_same_hits, brute_force, ray_set, reference_counts
 
 import mibvh
-from mibvh.studies.depth import remaining_after_splits, remaining_by_depth
+from mibvh.studies.measure.depth import remaining_after_splits, remaining_by_depth
 
 few_trees = pytest.mark.parametrize(
     ("name", "kind"), [(n, k) for n in CUTS for k in ("sbvh, all splits", "streelet, many splits")]

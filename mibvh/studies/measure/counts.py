@@ -7,10 +7,9 @@ import functools
 
 import numpy as np
 
-from mibvh.metrics.lines import RayLines, line_costs, ray_lines
+from mibvh.metrics.lines import RayLines, line_costs, ray_lines, sah_of_lines
 from mibvh.metrics.points import RayEnds, point_costs, ray_hits, ray_starts
 from mibvh.metrics.predictor import path_length_ratio
-from mibvh.metrics.sah import sah
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
 from mibvh.studies.record.scene import OriginCost
@@ -118,7 +117,7 @@ class RayCounter:
         paths = self.paths(hits)
         # None in a flat scene: no ray has a part inside its box.
         inside = np.count_nonzero(paths.lines.share)
-        of_lines = sah(tree, ray_lines=paths.lines) if inside > 1 else None
+        of_lines = sah_of_lines(tree, paths.lines) if inside > 1 else None
         return {
             "sah_lines": of_lines.value if of_lines else float("nan"),
             "sah_lines_error": of_lines.standard_error if of_lines else float("nan"),
