@@ -36,7 +36,8 @@ class Tree:
         The node's range in ``references`` (for inner nodes too: all of their subtree).
     references : (R,) int32
         Triangle ids in leaf order. An id stands more than once where spatial splits made
-        several references of one triangle.
+        several references of one triangle. All arrays are read-only; ones that can be written
+        to are copied.
     meta : dict
         JSON-able: builder, options, build_seconds, triangles (count), digest, c_inner,
         c_tri, and what the builder reports.
@@ -50,9 +51,17 @@ class Tree:
     references: I32
     meta: dict[str, Any] = dataclasses.field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name in _ARRAYS:
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+
     def __len__(self) -> int:
         """Return the number of nodes."""
         return len(self.left)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Through the constructor: copied arrays can be written to, and are not checked.
+        return Tree, (*(getattr(self, name) for name in _ARRAYS), self.meta)
 
     def replace(self, **changes: Any) -> Tree:
         """Return a copy with some fields exchanged."""
@@ -68,12 +77,14 @@ class Tree:
     @functools.cached_property
     def half_areas(self) -> F64:
         """(M,) float64: half the surface area of each node's box."""
+        self.check()
         x, y, z = (self.upper.astype(np.float64) - self.lower).T
         return x * y + y * z + z * x
 
     @functools.cached_property
     def parents(self) -> I32:
         """(M,) int32: each node's parent; -1 for the root."""
+        self.check()
         parents = np.full(len(self), -1, np.int32)
         inner = np.flatnonzero(~self.is_leaf).astype(np.int32)
         parents[self.left[inner]] = inner
@@ -83,6 +94,7 @@ class Tree:
     @functools.cached_property
     def depths(self) -> I32:
         """(M,) int32: edges from the root."""
+        self.check()
         depths = np.zeros(len(self), np.int32)
         level = np.zeros(1, np.int64)
         while len(level := level[self.left[level] >= 0]):
@@ -103,6 +115,7 @@ class Tree:
 
     def stats(self) -> dict[str, Any]:
         """Counts of nodes, leaves and references, leaf sizes, depth and bytes."""
+        self.check()
         sizes = self.count[self.is_leaf]
         leaf_depths = self.depths[self.is_leaf]
         return {
@@ -139,39 +152,101 @@ class Tree:
 
     # ------------------------------------------------------------ files
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`."""
-        write_arrays(path, {name: getattr(self, name) for name in _ARRAYS}, self.meta)
+    def save(self, path: str | os.PathLike[str], key: str | None = None) -> None:
+        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`.
+
+        Parameters
+        ----------
+        path : path
+        key : str, optional
+            What the tree was made from, to be asked for by :meth:`load`.
+        """
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        write_arrays(path, arrays, self.meta, kind="tree", key=key)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Tree:
+    def load(cls, path: str | os.PathLike[str], key: str | None = None) -> Tree:
         """Read a tree back.
 
+        Parameters
+        ----------
+        path : path
+        key : str, optional
+            Refuse a file that was not saved with this key.
+
         Raises
         ------
         MibvhError
-            If the file is missing, is no tree, is damaged, or comes from a newer format.
+            If the file is missing, is no tree, is damaged, holds a tree that is not sound,
+            carries another key, or comes from a newer format.
         """
-        arrays, meta = read_arrays(path, "tree", _ARRAYS)
-        return cls(**arrays, meta=meta)
+        arrays, meta = read_arrays(path, "tree", _ARRAYS, key=key)
+        tree = cls(**arrays, meta=meta)
+        try:
+            tree.check()
+        except MibvhError as error:
+            raise MibvhError(f"{path}: {error}") from None
+        return tree
 
     def check_matches(self, triangles: Triangles) -> None:
-        """Refuse triangles that this tree was not built for.
+        """Refuse triangles that this tree was not built for, and a tree that is not sound.
+
+        Every function that takes a tree and its triangles comes here first. The arrays are
+        read-only: the check is made once for each geometry.
 
         Raises
         ------
         MibvhError
-            If the recorded digest, or failing one the reference range, does not fit.
+            If the recorded digest or number of triangles does not fit, or with the first fault
+            that :meth:`validate` finds.
         """
-        digest = self.meta.get("digest")
-        fits = (
-            int(self.references.max()) < len(triangles)
-            if digest is None
-            else (digest == triangles.digest)
-        )
-        if not fits:
+        self.check()
+        digest, count = self.meta.get("digest"), self.meta.get("triangles")
+        if (digest or triangles.digest) != triangles.digest or (count or len(triangles)) != len(
+            triangles
+        ):
             raise MibvhError(
                 f"the tree ({self.meta.get('builder', 'unknown builder')}, "
                 f"{self.meta.get('triangles', '?')} triangles) was built for another geometry "
                 f"than {triangles.name} ({len(triangles)} triangles)"
             )
+        if triangles.digest not in self._sound:
+            from mibvh.validation import geometry_faults
+
+            self._refuse(geometry_faults(self, triangles))
+            self._sound.add(triangles.digest)
+
+    def check(self) -> None:
+        """Refuse a tree that is not sound, as far as can be told without its triangles.
+
+        Raises
+        ------
+        MibvhError
+            With the first fault found.
+        """
+        from mibvh.validation import meta_faults, structure_faults
+
+        self._refuse(meta_faults(self.meta))
+        if "structure" not in self._sound:
+            self._refuse(structure_faults(self))
+            self._sound.add("structure")
+
+    @functools.cached_property
+    def _sound(self) -> set[str]:
+        """What the arrays were found sound against: "structure", and digests of triangles."""
+        return set()
+
+    def _refuse(self, faults: list[str]) -> None:
+        if faults:
+            raise MibvhError(f"the tree is not sound: {faults[0]}")
+
+
+def _read_only(array: Any) -> npt.NDArray[Any]:
+    """The array if nobody can write to it, or else a copy."""
+    array = base = np.asarray(array)
+    while isinstance(base, np.ndarray) and not base.flags.writeable:
+        base = base.base
+    if isinstance(base, np.ndarray) or not array.flags.c_contiguous:
+        array = array.copy(order="C")
+        array.flags.writeable = False
+    return array

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.files import atomic_path
+from mibvh.files import check_columns, read_arrays, write_arrays
 from mibvh.rays import RaySet
 from mibvh.traversal.records import Layout, Records, make_records, own_memory, unit_scale
 from mibvh.traversal.schedule import Schedule, issued_by_bursts, issued_in_step
@@ -22,6 +22,12 @@ from mibvh.variant import lane_width, mitsuba
 Lanes = Literal["simd", "scalar"]
 Style = Literal["single", "while-while", "postponed", "wide"]
 U32 = npt.NDArray[np.uint32]
+#: The arrays of hits that have a row per ray, and the rest of what is told of them.
+_COLUMNS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
+    "t": (np.float32, ()), "triangle": (np.int32, ()), "inner": (np.uint32, ()),
+    "leaves": (np.uint32, ()), "tests": (np.uint32, ()), "steps": (np.uint32, ()),
+}  # fmt: skip
+_FACTS = {"lanes": str, "lane_width": int, "issued": int, "style": str}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -137,10 +143,31 @@ class Hits:
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write ``t``, ``triangle`` and the counters to an ``.npz`` file."""
-        names = ("t", "triangle", "inner", "leaves", "tests", "steps", "seconds")
-        with atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **{name: getattr(self, name) for name in names})
+        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`."""
+        arrays = {name: getattr(self, name) for name in [*_COLUMNS, "seconds"]}
+        write_arrays(path, arrays, {name: getattr(self, name) for name in _FACTS}, kind="hits")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Hits:
+        """Read hits back.
+
+        Raises
+        ------
+        MibvhError
+            If the file is missing, holds no hits, is damaged, or comes from a newer format.
+        """
+        arrays, meta = read_arrays(path, "hits", (*_COLUMNS, "seconds"))
+        check_columns(f"{path}: hits", arrays, _COLUMNS)
+        check_columns(f"{path}: times", arrays, {"seconds": (np.float64, ())})
+        for name, kind in _FACTS.items():
+            if type(meta.get(name)) is not kind:
+                raise MibvhError(f"{path}: hits: {name} is {meta.get(name)!r}")
+        hits = cls(**arrays, **{name: meta[name] for name in _FACTS})
+        if not (hits.t >= 0).all() or not (np.isfinite(hits.t) == (hits.triangle >= 0)).all():
+            raise MibvhError(f"{path}: hits: a distance is no distance, or has no triangle")
+        if (hits.triangle < -1).any() or not (np.isfinite(hits.seconds) & (hits.seconds >= 0)).all():
+            raise MibvhError(f"{path}: hits: a triangle or a time is negative")
+        return hits
 
 
 class Tracer:
