@@ -20,6 +20,18 @@ from mibvh.errors import MibvhError
 
 #: Of the ``.npz`` files of trees, ray sets and hits; files of format 1 are read too.
 FORMAT_VERSION = 2
+#: Of the kinds that are tables, with a row for each ray: the type of each array, and the shape of
+#: a row.
+TABLES: dict[str, dict[str, tuple[str, tuple[int, ...]]]] = {
+    "ray set": {
+        "o": ("float32", (3,)), "d": ("float32", (3,)), "tmax": ("float32", ()),
+        "viewpoint": ("int32", ()), "bounce": ("int32", ()), "source": ("int32", ()),
+    },
+    "hits": {
+        "t": ("float32", ()), "triangle": ("int32", ()), "inner": ("uint32", ()),
+        "leaves": ("uint32", ()), "tests": ("uint32", ()), "steps": ("uint32", ()),
+    },
+}  # fmt: skip
 
 
 @contextlib.contextmanager
@@ -137,7 +149,7 @@ def read_arrays(
     # Damage can make zipfile, NumPy and json raise nearly anything: NotImplementedError,
     # RuntimeError, struct.error, MemoryError, RecursionError, tokenize.TokenError and more.
     except Exception as error:
-        reason = str(error) or type(error).__name__
+        reason = " ".join((str(error) or type(error).__name__).split())[:120]
         raise MibvhError(f"{path}: not a {kind} file of mibvh, or damaged ({reason})") from None
     if version not in (1, FORMAT_VERSION):
         raise MibvhError(
@@ -149,37 +161,21 @@ def read_arrays(
         raise MibvhError(f"{path}: is a {header['kind']} file, not a {kind} file")
     if key is not None and header.get("key") != key:
         raise MibvhError(f"{path}: the {kind} file was made from something else (its key differs)")
+    _check_columns(path, kind, arrays)
     return arrays, header["meta"]
 
 
-def check_columns(
-    kind: str,
-    arrays: Mapping[str, npt.NDArray[Any]],
-    columns: Mapping[str, tuple[type[np.generic], tuple[int, ...]]],
-) -> None:
-    """Refuse arrays that are not the columns of one table.
-
-    Parameters
-    ----------
-    kind : str
-        What the table is, for the message.
-    arrays : mapping of str to array
-    columns : mapping of str to (type, shape)
-        Of a row of each.
-
-    Raises
-    ------
-    MibvhError
-        If one is of another type or shape, or longer or shorter than the first.
-    """
+def _check_columns(path: Any, kind: str, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Refuse arrays that are not the columns of one table."""
     rows = None
-    for name, (dtype, row) in columns.items():
+    for name, (dtype, row) in TABLES.get(kind, {}).items():
         array = arrays[name]
         rows = array.shape[0] if rows is None and array.ndim else rows
         if array.dtype != dtype or array.shape != (rows, *row):
-            wanted = ", ".join(["N", *map(str, row)]) if rows is None else str((rows, *row))
+            wanted = ", ".join(str(n) for n in ("N" if rows is None else rows, *row))
             raise MibvhError(
-                f"{kind}: {name} is {array.dtype} {array.shape}, not {dtype.__name__} {wanted}"
+                f"{path}: not a {kind} file of mibvh ({name} is {array.dtype} {array.shape}, not "
+                f"{dtype} ({wanted}))"
             )
 
 

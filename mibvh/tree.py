@@ -109,9 +109,14 @@ class Tree:
         return int(self.depths.max())
 
     @property
+    def triangle_count(self) -> int:
+        """Number of triangles, of which each has at least one reference."""
+        return int(self.meta.get("triangles") or len(np.unique(self.references)))
+
+    @property
     def splits_triangles(self) -> bool:
         """Whether some triangle has more than one reference."""
-        return len(self.references) > self.meta.get("triangles", len(np.unique(self.references)))
+        return len(self.references) > self.triangle_count
 
     def stats(self) -> dict[str, Any]:
         """Counts of nodes, leaves and references, leaf sizes, depth and bytes."""
@@ -119,7 +124,7 @@ class Tree:
         sizes = self.count[self.is_leaf]
         leaf_depths = self.depths[self.is_leaf]
         return {
-            "triangles": int(self.meta.get("triangles", len(np.unique(self.references)))),
+            "triangles": self.triangle_count,
             "references": len(self.references),
             "nodes": len(self),
             "leaves": len(sizes),

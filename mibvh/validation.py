@@ -6,7 +6,6 @@ here is one pass over the nodes or the references, a few nanoseconds for each.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,6 +18,8 @@ from mibvh.triangles import MAX_COORDINATE, Triangles
 
 #: Leaves up to this size are searched for repeated triangles pair by pair; larger ones are sorted.
 _SMALL_LEAF = 32
+#: Cost constants up to this are taken, by builders too.
+_DEAREST = 1e6
 
 #: What :func:`_structure` finds first, by the number that it returns.
 _STRUCTURE = {
@@ -80,10 +81,7 @@ def _repeats(ids):
     """Whether a value stands in the array twice."""
     if len(ids) > _SMALL_LEAF:
         ids = np.sort(ids)
-        for i in range(1, len(ids)):
-            if ids[i] == ids[i - 1]:
-                return True
-        return False
+        return (ids[1:] == ids[:-1]).any()
     for i in range(1, len(ids)):
         for k in range(i):
             if ids[i] == ids[k]:
@@ -93,7 +91,7 @@ def _repeats(ids):
 
 @njit
 def _references(references, triangles):
-    """Return the first position whose id is not below ``triangles``, and how many ids are missing."""
+    """Return the first position that names none of the triangles, and how many are missing."""
     times = np.zeros(triangles, np.bool_)
     missing = triangles
     for i in range(len(references)):
@@ -208,14 +206,14 @@ def meta_faults(meta: Any) -> list[str]:
         return ["its metadata is no table of names and values"]
     count, digest = meta.get("triangles"), meta.get("digest")
     if count is not None and (type(count) is not int or count < 1):
-        return [f"its metadata says that it has {count!r} triangles"]
+        return [f"its metadata says that it has {str(count)[:40]!r} triangles"]
     if digest is not None and not isinstance(digest, str):
         return ["its metadata has a digest that is no text"]
     for name in ("c_inner", "c_tri"):
         cost = meta.get(name, 1.0)
         number = isinstance(cost, int | float) and not isinstance(cost, bool)
-        if not (number and math.isfinite(cost) and cost >= 0):
-            return [f"its metadata has the cost constant {name} = {cost!r}"]
+        if not (number and 0 <= cost <= _DEAREST):
+            return [f"its metadata has the cost constant {name} = {str(cost)[:40]!r}"]
     return []
 
 
@@ -241,10 +239,14 @@ def _array_faults(tree: Tree) -> list[str]:
 
 def _reference_faults(tree: Tree, triangles: int) -> list[str]:
     if triangles > len(tree.references):  # before memory is taken for that many
-        return [f"of {triangles} triangles at least {triangles - len(tree.references)} are in no leaf"]
+        return [
+            f"of {triangles} triangles at least {triangles - len(tree.references)} are in no leaf"
+        ]
     at, missing = _references(tree.references, triangles)
     if at >= 0:
-        return [f"reference {at} is {tree.references[at]}, beyond the triangles (0 to {triangles - 1})"]
+        return [
+            f"reference {at} is {tree.references[at]}, beyond the triangles (0 to {triangles - 1})"
+        ]
     return [f"{missing} of {triangles} triangles are in no leaf"] if missing else []
 
 

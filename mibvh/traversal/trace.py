@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.files import check_columns, read_arrays, write_arrays
+from mibvh.files import TABLES, read_arrays, write_arrays
 from mibvh.rays import RaySet
 from mibvh.traversal.records import Layout, Records, make_records, own_memory, unit_scale
 from mibvh.traversal.schedule import Schedule, issued_by_bursts, issued_in_step
@@ -22,11 +22,8 @@ from mibvh.variant import lane_width, mitsuba
 Lanes = Literal["simd", "scalar"]
 Style = Literal["single", "while-while", "postponed", "wide"]
 U32 = npt.NDArray[np.uint32]
-#: The arrays of hits that have a row per ray, and the rest of what is told of them.
-_COLUMNS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
-    "t": (np.float32, ()), "triangle": (np.int32, ()), "inner": (np.uint32, ()),
-    "leaves": (np.uint32, ()), "tests": (np.uint32, ()), "steps": (np.uint32, ()),
-}  # fmt: skip
+_ARRAYS = (*TABLES["hits"], "seconds")
+#: What else a file of hits tells.
 _FACTS = {"lanes": str, "lane_width": int, "issued": int, "style": str}
 
 
@@ -144,7 +141,7 @@ class Hits:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`."""
-        arrays = {name: getattr(self, name) for name in [*_COLUMNS, "seconds"]}
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
         write_arrays(path, arrays, {name: getattr(self, name) for name in _FACTS}, kind="hits")
 
     @classmethod
@@ -156,16 +153,19 @@ class Hits:
         MibvhError
             If the file is missing, holds no hits, is damaged, or comes from a newer format.
         """
-        arrays, meta = read_arrays(path, "hits", (*_COLUMNS, "seconds"))
-        check_columns(f"{path}: hits", arrays, _COLUMNS)
-        check_columns(f"{path}: times", arrays, {"seconds": (np.float64, ())})
+        arrays, meta = read_arrays(path, "hits", _ARRAYS)
+        if arrays["seconds"].dtype != np.float64 or arrays["seconds"].ndim != 1:
+            raise MibvhError(f"{path}: hits: the seconds are no times")
         for name, kind in _FACTS.items():
             if type(meta.get(name)) is not kind:
                 raise MibvhError(f"{path}: hits: {name} is {meta.get(name)!r}")
-        hits = cls(**arrays, **{name: meta[name] for name in _FACTS})
+        facts: dict[str, Any] = {name: meta[name] for name in _FACTS}
+        hits = cls(**arrays, **facts)
         if not (hits.t >= 0).all() or not (np.isfinite(hits.t) == (hits.triangle >= 0)).all():
             raise MibvhError(f"{path}: hits: a distance is no distance, or has no triangle")
-        if (hits.triangle < -1).any() or not (np.isfinite(hits.seconds) & (hits.seconds >= 0)).all():
+        if (hits.triangle < -1).any() or not (
+            np.isfinite(hits.seconds) & (hits.seconds >= 0)
+        ).all():
             raise MibvhError(f"{path}: hits: a triangle or a time is negative")
         return hits
 

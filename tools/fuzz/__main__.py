@@ -34,7 +34,7 @@ MOST_FAULTS = 20
 
 def work(part: str, first: int) -> None:
     """In the child: run cases for ever, a line each: seed, outcome."""
-    module, _, name = PARTS[part].partition(":")
+    module, _, name = PARTS.get(part, part).partition(":")
     bench = getattr(importlib.import_module(module), name)()
     seed = first
     while True:

@@ -26,10 +26,7 @@ class Bench:
     def __init__(self) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="mibvh-fuzz-"))
         self.triangles = sticks(150)
-        self.trees = {
-            name: mibvh.build(self.triangles, name, **({"max_leaf": 4}))
-            for name in BUILDERS
-        }
+        self.trees = {name: mibvh.build(self.triangles, name, max_leaf=4) for name in BUILDERS}
         self.rays = random_rays(self.triangles, RAYS)
         self.flat = flat_tree(self.triangles)
         self.truth = self.trace(self.flat, self.rays)
@@ -44,7 +41,7 @@ class Bench:
         value.save(path)
         self.files.append((kind, name, path.read_bytes()))
 
-    def trace(self, tree: Any, rays: Any, style: str = "single") -> Any:
+    def trace(self, tree: Any, rays: Any, style: Any = "single") -> Any:
         """Trace once."""
         return mibvh.trace(tree, self.triangles, rays, style=style, repeats=1)
 

@@ -76,12 +76,41 @@ def damaged(data: bytes, rng: Random) -> bytes:
 def hostile(data: bytes, rng: Random) -> bytes:
     """Change what is in a file, and make the checksum fit."""
     held = contents(data)
-    for _ in range(rng.integers(1, 4)):
+    if "left" in held.arrays and rng.random() < 0.4:
+        _change_gently(held.arrays, rng)
+        return held.packed()
+    for _ in range(rng.choice([1, 1, 1, 2, 3])):
         if rng.random() < 0.1:
             _change_header(held, rng)
         elif held.arrays:
             _change_array(held, rng)
     return held.packed()
+
+
+def _change_gently(arrays: dict[str, np.ndarray], rng: Random) -> None:
+    """Change a tree so that it may still be one: a box's face, or the order in a leaf."""
+    n = int(rng.integers(len(arrays["left"])))
+    if rng.random() < 0.3:
+        leaves = np.flatnonzero((arrays["left"] < 0) & (arrays["count"] > 1))
+        n = int(rng.choice(leaves))
+        run = slice(arrays["first"][n], arrays["first"][n] + arrays["count"][n])
+        arrays["references"][run] = rng.permutation(arrays["references"][run])
+        return
+    name, other = rng.permutation(["lower", "upper"])
+    axis = int(rng.integers(3))
+    face = arrays[name][n, axis]
+    size = abs(arrays[other][n, axis] - face)
+    away = np.float32(-np.inf if name == "lower" else np.inf)
+    match rng.integers(4):
+        case 0:  # larger by a rounding
+            face = np.nextafter(face, away)
+        case 1:  # smaller by a rounding
+            face = np.nextafter(face, -away)
+        case 2:  # larger
+            face += np.sign(away) * size * np.float32(10 ** rng.uniform(-4, 1))
+        case _:  # smaller
+            face -= np.sign(away) * size * np.float32(10 ** rng.uniform(-6, 0))
+    arrays[name][n, axis] = face
 
 
 def _change_header(held: Contents, rng: Random) -> None:
