@@ -248,7 +248,8 @@ class Tree:
 
 def _read_only(array: Any) -> npt.NDArray[Any]:
     """The array if nobody can write to it, or else a copy."""
-    array = base = np.asarray(array)
+    array = np.asarray(array)
+    base: Any = array
     while isinstance(base, np.ndarray) and not base.flags.writeable:
         base = base.base
     if isinstance(base, np.ndarray) or not array.flags.c_contiguous:

@@ -159,8 +159,8 @@ class Hits:
         for name, kind in _FACTS.items():
             if type(meta.get(name)) is not kind:
                 raise MibvhError(f"{path}: hits: {name} is {meta.get(name)!r}")
-        facts: dict[str, Any] = {name: meta[name] for name in _FACTS}
-        hits = cls(**arrays, **facts)
+        fields: dict[str, Any] = {**arrays, **{name: meta[name] for name in _FACTS}}
+        hits = cls(**fields)
         if not (hits.t >= 0).all() or not (np.isfinite(hits.t) == (hits.triangle >= 0)).all():
             raise MibvhError(f"{path}: hits: a distance is no distance, or has no triangle")
         if (hits.triangle < -1).any() or not (
