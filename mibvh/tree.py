@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import html
 import os
 from typing import Any
 
@@ -62,6 +63,39 @@ class Tree:
     def __reduce__(self) -> tuple[Any, ...]:
         # Through the constructor: copied arrays can be written to, and are not checked.
         return Tree, (*(getattr(self, name) for name in _ARRAYS), self.meta)
+
+    def __repr__(self) -> str:
+        if self._faulty:
+            return f"Tree({self._name!r}, not sound)"
+        split = f", {len(self.references):,} references" if self.splits_triangles else ""
+        return (
+            f"Tree({self._name!r}, {self.triangle_count:,} triangles{split}, {len(self):,} nodes, "
+            f"depth {self.depth})"
+        )
+
+    def _repr_html_(self) -> str:
+        """A table, for notebooks."""
+        if self._faulty:
+            return html.escape(repr(self))
+        facts = {"builder": self._name, **self.stats()}
+        rows = "".join(
+            f"<tr><th style='text-align:left'>{name.replace('_', ' ')}</th>"
+            f"<td style='text-align:right'>{html.escape(_figure(value))}</td></tr>"
+            for name, value in facts.items()
+        )
+        return f"<table>{rows}</table>"
+
+    @property
+    def _name(self) -> str:
+        return str(self.meta.get("builder", "tree"))
+
+    @property
+    def _faulty(self) -> bool:
+        try:
+            self.check()
+        except MibvhError:
+            return True
+        return False
 
     def replace(self, **changes: Any) -> Tree:
         """Return a copy with some fields exchanged."""
@@ -155,6 +189,82 @@ class Tree:
 
         return faults(self, triangles)
 
+    # ------------------------------------------------------------ trees of other programs
+
+    @classmethod
+    def from_arrays(
+        cls,
+        lower: Any,
+        upper: Any,
+        left: Any,
+        right: Any = None,
+        first: Any = None,
+        count: Any = None,
+        references: Any = None,
+        *,
+        root: int | None = None,
+        name: str = "imported",
+    ) -> Tree:
+        """Take a binary tree of another program: renumbered, with its own boxes and leaves.
+
+        Nodes may stand in any order, and some may be unused.
+
+        Parameters
+        ----------
+        lower, upper : (M, 3) float
+            Boxes in scene units; those of wider types than float32 are rounded outwards.
+        left : (M,) int
+            First child of an inner node; what is negative is a leaf. Where ``first`` is left out,
+            a leaf's is ``~left``. Where nothing is negative, a node with ``count > 0`` is a leaf
+            and ``left`` its first reference.
+        right : (M,) int, optional
+            Second child; by default the one after the first.
+        first, count : (M,) int, optional
+            A leaf's range of the references; of inner nodes not looked at. By default one
+            reference each.
+        references : (R,) int, optional
+            Triangle ids; by default ranges are of triangles themselves.
+        root : int, optional
+            By default node 0, or, where that is somebody's child, the node that is nobody's.
+        name : str
+            What the tree is called where builders are named.
+
+        Returns
+        -------
+        Tree
+
+        Raises
+        ------
+        MibvhError
+            If it is no tree, a leaf is empty or shares its references, or with the first fault
+            that :meth:`check` finds.
+
+        Examples
+        --------
+        >>> import mibvh
+        >>> boxes = [[0.0, 0, 0], [0, 0, 0], [2, 0, 0]], [[3.0, 1, 1], [1, 1, 1], [3, 1, 1]]
+        >>> mibvh.Tree.from_arrays(*boxes, left=[1, -1, -2], right=[2, 0, 0])
+        Tree('imported', 2 triangles, 3 nodes, depth 1)
+        """
+        from mibvh.layouts.arrays import from_arrays
+
+        return from_arrays(
+            lower, upper, left, right, first, count, references, root=root, name=name
+        )
+
+    def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Arrays for another program: what :meth:`from_arrays` takes, by name.
+
+        Returns
+        -------
+        dict of str to array
+            ``lower, upper, left, right, first, count, references``; ``left`` and ``right`` are -1
+            of leaves, and inner nodes have the range of all below them.
+        """
+        from mibvh.layouts.arrays import to_arrays
+
+        return to_arrays(self)
+
     # ------------------------------------------------------------ files
 
     def save(self, path: str | os.PathLike[str], key: str | None = None) -> None:
@@ -244,6 +354,13 @@ class Tree:
     def _refuse(self, faults: list[str]) -> None:
         if faults:
             raise MibvhError(f"the tree is not sound: {faults[0]}")
+
+
+def _figure(value: Any) -> str:
+    """A number with commas, or with few digits; text as it is."""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return f"{value:,}" if isinstance(value, int) else str(value)
 
 
 def _read_only(array: Any) -> npt.NDArray[Any]:

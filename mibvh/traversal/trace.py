@@ -70,6 +70,10 @@ class Hits:
     def __len__(self) -> int:
         return len(self.t)
 
+    def __repr__(self) -> str:
+        hit = int((self.triangle >= 0).sum())
+        return f"Hits({len(self):,} rays, {hit:,} hits, {self.lanes}, {self.style!r})"
+
     @property
     def lcv(self) -> float:
         """Leaf count variability: standard deviation over the rays of the leaves visited.
