@@ -121,7 +121,7 @@ def test_wider_boxes_are_rounded_outwards(small_soup):
         ({"left": {0: 99999}}, "node 0 has the children 99999 and 2"),
         ({"right": {0: -3}}, "and -3, which are not among"),
         ({"right": {0: 1}}, "node 1 is reached twice"),
-        ({"left": {1: 0}}, "root= must name the root"),
+        ({"left": {1: 0}}, "are in no leaf"),
         ({"count": {"leaf": 0}}, "has no references"),
         ({"first": {"leaf": 10**6}}, "there are 60"),
         ({"first": {"leaf": 2**40}}, "there are 60"),

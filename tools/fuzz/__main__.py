@@ -25,6 +25,7 @@ from pathlib import Path
 #: Name of a part, and the class that runs its cases.
 PARTS = {
     "files": "tools.fuzz.files:Bench",
+    "imports": "tools.fuzz.layouts:Imports",
 }
 #: A case that is not done after so many seconds hangs; the first one compiles.
 PATIENCE, FIRST_PATIENCE = 30.0, 600.0
