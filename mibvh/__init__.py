@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mibvh import plot
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
     from mibvh.errors import MibvhError
+    from mibvh.layouts import read_tree, write_tree
     from mibvh.metrics.epo import epo, epo_per_depth, epo_per_node
     from mibvh.metrics.lines import RayLines, ray_lines, sah_of_lines
     from mibvh.metrics.points import (
@@ -73,12 +74,14 @@ _PUBLIC = {
     "point_costs": "mibvh.metrics.points",
     "ray_ends": "mibvh.metrics.points",
     "ray_lines": "mibvh.metrics.lines",
+    "read_tree": "mibvh.layouts",
     "rotation_about": "mibvh.triangles",
     "sah": "mibvh.metrics.sah",
     "sah_of_lines": "mibvh.metrics.lines",
     "sah_per_node": "mibvh.metrics.sah",
     "study": "mibvh.studies",
     "trace": "mibvh.traversal.trace",
+    "write_tree": "mibvh.layouts",
 }
 
 __all__ = [
@@ -116,12 +119,14 @@ __all__ = [
     "point_costs",
     "ray_ends",
     "ray_lines",
+    "read_tree",
     "rotation_about",
     "sah",
     "sah_of_lines",
     "sah_per_node",
     "study",
     "trace",
+    "write_tree",
 ]
 
 

@@ -39,6 +39,10 @@ class Scene:
     original: Any = None
     notes: list[str] = dataclasses.field(default_factory=list)
 
+    def __repr__(self) -> str:
+        cameras = f"{len(self.sensors)} viewpoint{'' if len(self.sensors) == 1 else 's'}"
+        return f"Scene({self.name!r}, {len(self.triangles):,} triangles, {cameras})"
+
     @functools.cached_property
     def geometry(self) -> Any:
         """A Mitsuba scene of exactly these triangles: ``prim_index`` is the triangle id."""

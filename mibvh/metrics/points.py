@@ -161,6 +161,7 @@ def weight_at(tree: Tree, points: F64, weights: F64) -> F64:
     -------
     (P,) float64
     """
+    tree.check()
     # A point that belongs to a triangle without references has foreign nodes only.
     nobody, starts = np.zeros(len(points), np.int32), np.zeros(2, np.int64)
     positions, out = np.zeros(0, np.int32), np.zeros((len(points), 2))
@@ -328,13 +329,21 @@ def ray_starts(triangles: Any, rays: Any) -> RayEnds:
 
 def ray_hits(triangles: Any, rays: Any, hits: Any) -> RayEnds:
     """Where those rays of a set end that hit something; see :func:`ray_ends`."""
+    if len(hits.t) != len(rays):
+        raise MibvhError(f"there are {len(rays)} rays, and hits of {len(hits.t)}")
     hit = np.flatnonzero(hits.triangle >= 0)
     at = rays.o[hit].astype(np.float64) + rays.d[hit].astype(np.float64) * hits.t[hit, None]
     return _ray_ends(triangles, at, hits.triangle[hit], len(rays))
 
 
 def _ray_ends(triangles: Any, near: Any, ids: I32, rays: int) -> RayEnds:
-    points = on_surface(as_triangles(triangles), near, ids)
+    triangles = as_triangles(triangles)
+    if len(ids) and int(ids.max()) >= len(triangles):
+        raise MibvhError(
+            f"a ray begins or ends on triangle {int(ids.max())}, and {triangles.name} has "
+            f"{len(triangles)}: the rays or hits are of another geometry"
+        )
+    points = on_surface(triangles, near, ids)
     return RayEnds(points, np.ascontiguousarray(ids, np.int32), rays)
 
 

@@ -25,6 +25,7 @@ def node_costs(tree: Tree, c_inner: float | None = None, c_tri: float | None = N
     -------
     (M,) float64
     """
+    tree.check()
     inner = tree.meta.get("c_inner", 1.2) if c_inner is None else c_inner
     tri = tree.meta.get("c_tri", 1.0) if c_tri is None else c_tri
     return np.where(tree.is_leaf, tri * tree.count, inner).astype(np.float64)

@@ -136,6 +136,8 @@ def make_records(tree: Tree, triangles: Any, layout: Layout = "binary") -> Recor
     lower, upper = tree.lower * scale, tree.upper * scale
     if layout == "wide":
         shapes = _triangle_rows(corners, tree.references, np.ones_like(tree.references))
+        # Boxes may be larger than the scene; the grid of the wide rows is not.
+        lower, upper = (np.clip(box, corners.min(), corners.max()) for box in (lower, upper))
         rows, root, depth = collapse(tree, corners, lower, upper).rows(shapes)
     else:
         nodes, root = _node_rows(lower, upper, tree.left, tree.first)

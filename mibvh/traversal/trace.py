@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.files import atomic_path
+from mibvh.files import TABLES, read_arrays, write_arrays
 from mibvh.rays import RaySet
 from mibvh.traversal.records import Layout, Records, make_records, own_memory, unit_scale
 from mibvh.traversal.schedule import Schedule, issued_by_bursts, issued_in_step
@@ -22,6 +22,9 @@ from mibvh.variant import lane_width, mitsuba
 Lanes = Literal["simd", "scalar"]
 Style = Literal["single", "while-while", "postponed", "wide"]
 U32 = npt.NDArray[np.uint32]
+_ARRAYS = (*TABLES["hits"], "seconds")
+#: What else a file of hits tells.
+_FACTS = {"lanes": str, "lane_width": int, "issued": int, "style": str}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -66,6 +69,10 @@ class Hits:
 
     def __len__(self) -> int:
         return len(self.t)
+
+    def __repr__(self) -> str:
+        hit = int((self.triangle >= 0).sum())
+        return f"Hits({len(self):,} rays, {hit:,} hits, {self.lanes}, {self.style!r})"
 
     @property
     def lcv(self) -> float:
@@ -137,10 +144,34 @@ class Hits:
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write ``t``, ``triangle`` and the counters to an ``.npz`` file."""
-        names = ("t", "triangle", "inner", "leaves", "tests", "steps", "seconds")
-        with atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **{name: getattr(self, name) for name in names})
+        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`."""
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        write_arrays(path, arrays, {name: getattr(self, name) for name in _FACTS}, kind="hits")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Hits:
+        """Read hits back.
+
+        Raises
+        ------
+        MibvhError
+            If the file is missing, holds no hits, is damaged, or comes from a newer format.
+        """
+        arrays, meta = read_arrays(path, "hits", _ARRAYS)
+        if arrays["seconds"].dtype != np.float64 or arrays["seconds"].ndim != 1:
+            raise MibvhError(f"{path}: hits: the seconds are no times")
+        for name, kind in _FACTS.items():
+            if type(meta.get(name)) is not kind:
+                raise MibvhError(f"{path}: hits: {name} is {meta.get(name)!r}")
+        fields: dict[str, Any] = {**arrays, **{name: meta[name] for name in _FACTS}}
+        hits = cls(**fields)
+        if not (hits.t >= 0).all() or not (np.isfinite(hits.t) == (hits.triangle >= 0)).all():
+            raise MibvhError(f"{path}: hits: a distance is no distance, or has no triangle")
+        if (hits.triangle < -1).any() or not (
+            np.isfinite(hits.seconds) & (hits.seconds >= 0)
+        ).all():
+            raise MibvhError(f"{path}: hits: a triangle or a time is negative")
+        return hits
 
 
 class Tracer:
