@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         path_length_ratio,
     )
     from mibvh.metrics.sah import sah, sah_per_node
-    from mibvh.rays import RaySet, diffuse_rays
+    from mibvh.rays import RaySet, diffuse_rays, read_rays
     from mibvh.scene import Scene, load
     from mibvh.studies import Study, StudyOptions, study
     from mibvh.traversal.trace import Hits, trace
@@ -73,6 +73,7 @@ _PUBLIC = {
     "point_costs": "mibvh.metrics.points",
     "ray_ends": "mibvh.metrics.points",
     "ray_lines": "mibvh.metrics.lines",
+    "read_rays": "mibvh.rays",
     "rotation_about": "mibvh.triangles",
     "sah": "mibvh.metrics.sah",
     "sah_of_lines": "mibvh.metrics.lines",
@@ -116,6 +117,7 @@ __all__ = [
     "point_costs",
     "ray_ends",
     "ray_lines",
+    "read_rays",
     "rotation_about",
     "sah",
     "sah_of_lines",

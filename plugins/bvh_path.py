@@ -181,6 +181,3 @@ def _mis(a: mi.Float, b: mi.Float) -> mi.Float:
     """Power heuristic."""
     weight = dr.square(a) / (dr.square(a) + dr.square(b))
     return dr.select(dr.isfinite(weight), weight, 0)
-
-
-mi.register_integrator("bvh_path", BvhPath)

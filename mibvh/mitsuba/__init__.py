@@ -24,7 +24,7 @@ from __future__ import annotations
 from mibvh.mitsuba.accelerator import Accelerator
 from mibvh.mitsuba.coverage import coverage_figure
 from mibvh.mitsuba.heatmap import cost_figure, image_channels
-from mibvh.mitsuba.register import PLUGINS, register
+from mibvh.registration import PLUGINS, register
 
 __all__ = ["PLUGINS", "Accelerator", "cost_figure", "coverage_figure", "image_channels", "register"]
 

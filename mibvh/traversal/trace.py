@@ -403,12 +403,7 @@ def trace(
     triangles = as_triangles(triangles)
     if repeats < 1:
         raise MibvhError(f"repeats must be at least 1, not {repeats}")
-    belongs = rays.meta.get("digest")
-    if belongs not in (None, triangles.digest):
-        raise MibvhError(
-            f"the rays (of {rays.meta.get('scene', 'another scene')}) were made for another "
-            f"geometry than {triangles.name}"
-        )
+    rays.check_matches(triangles)
     scale = float(unit_scale(triangles))
     tracer = Tracer(rays, scale, lanes, style=style, cull=cull, any_hit=any_hit)
     records = _cached_records(tree, triangles, tracer.layout, mitsuba().variant())
