@@ -95,6 +95,16 @@ def point_at(a: Any, b: Any, c: Any, u: Any, v: Any) -> Any:
     return a + (b - a) * u + (c - a) * v
 
 
+def onto_plane(a: Any, b: Any, c: Any, point: Any) -> Any:
+    """Point3d: a point that lies near a triangle, moved into its plane."""
+    import drjit as dr
+
+    normal = dr.cross(b - a, c - a)
+    squared = dr.squared_norm(normal)
+    off = dr.select(squared > 0, dr.dot(normal, point - a) / squared, 0)
+    return point - normal * off
+
+
 def clear_origin(a: Any, b: Any, c: Any, point: Any, towards: Any) -> tuple[Any, Any]:
     """Move points of triangles off them, to the side that a direction points to.
 
