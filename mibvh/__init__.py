@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         path_length_ratio,
     )
     from mibvh.metrics.sah import sah, sah_per_node
-    from mibvh.rays import RaySet, diffuse_rays, read_rays
+    from mibvh.rays import Mixture, RaySet, diffuse_rays, make_rays, read_rays
     from mibvh.scene import Scene, load
     from mibvh.studies import Study, StudyOptions, study
     from mibvh.traversal.trace import Hits, trace
@@ -45,6 +45,7 @@ _PUBLIC = {
     "Estimate": "mibvh.metrics.points",
     "Hits": "mibvh.traversal.trace",
     "MibvhError": "mibvh.errors",
+    "Mixture": "mibvh.rays",
     "Options": "mibvh.builders",
     "RayEnds": "mibvh.metrics.points",
     "RayLines": "mibvh.metrics.lines",
@@ -67,6 +68,7 @@ _PUBLIC = {
     "finite_ray_cost": "mibvh.metrics.predictor",
     "fit_alpha": "mibvh.metrics.predictor",
     "load": "mibvh.scene",
+    "make_rays": "mibvh.rays",
     "option": "mibvh.builders",
     "path_length_ratio": "mibvh.metrics.predictor",
     "plot": "mibvh",
@@ -88,6 +90,7 @@ __all__ = [
     "Estimate",
     "Hits",
     "MibvhError",
+    "Mixture",
     "Options",
     "RayEnds",
     "RayLines",
@@ -111,6 +114,7 @@ __all__ = [
     "finite_ray_cost",
     "fit_alpha",
     "load",
+    "make_rays",
     "option",
     "path_length_ratio",
     "plot",

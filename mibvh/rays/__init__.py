@@ -12,11 +12,18 @@ from mibvh.rays.rayset import RaySet
 
 if TYPE_CHECKING:
     from mibvh.rays.diffuse import diffuse_rays
+    from mibvh.rays.make import make_rays
+    from mibvh.rays.mixture import Mixture
     from mibvh.rays.read import read_rays
 
-__all__ = ["RaySet", "diffuse_rays", "read_rays"]
+__all__ = ["Mixture", "RaySet", "diffuse_rays", "make_rays", "read_rays"]
 
-_LATER = {"diffuse_rays": "mibvh.rays.diffuse", "read_rays": "mibvh.rays.read"}
+_LATER = {
+    "Mixture": "mibvh.rays.mixture",
+    "diffuse_rays": "mibvh.rays.diffuse",
+    "make_rays": "mibvh.rays.make",
+    "read_rays": "mibvh.rays.read",
+}
 
 
 def __getattr__(name: str) -> Any:

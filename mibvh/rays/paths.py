@@ -15,7 +15,7 @@ from mibvh.viewpoints import camera_rays
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Vertices:
-    """Where paths meet surfaces, one per lane.
+    """Where paths meet surfaces, one per lane; at the camera, where they begin.
 
     Attributes
     ----------
@@ -26,15 +26,21 @@ class Vertices:
     triangle : UInt32
     random : PCG32
         The paths' random numbers.
+    incoming : Ray3f
+        What arrives here. At the camera, vertex 0 of a path, what it sends, and nothing else but
+        the random numbers.
     """
 
     origin: Any
     normal: Any
     triangle: Any
     random: Any
+    incoming: Any
 
     def __len__(self) -> int:
-        return len(self.triangle)
+        import drjit as dr
+
+        return int(dr.width(self.incoming))
 
 
 class Paths:
@@ -52,17 +58,8 @@ class Paths:
         # Zero-copy views of NumPy memory would keep gathers from being vectorised.
         self._corners = mi.Float(scene.triangles.corners.ravel())
 
-    def primary(
-        self, view: int, width: int, height: int, samples: int, seed: int
-    ) -> tuple[Any, Any]:
-        """Rays of a viewpoint through random points of each pixel.
-
-        Returns
-        -------
-        rays : Ray3f
-        random : PCG32
-            The random numbers of each ray's path.
-        """
+    def camera(self, view: int, width: int, height: int, samples: int, seed: int) -> Vertices:
+        """Vertex 0 of the paths: what a viewpoint sends through random points of each pixel."""
         import drjit as dr
 
         mi = mitsuba()
@@ -74,10 +71,11 @@ class Paths:
             (mi.Float(row) + random.next_float32()) / height,
         )
         aperture = mi.Point2f(random.next_float32(), random.next_float32())
-        return camera_rays(self.scene.sensors[view], place, aperture), random
+        rays = camera_rays(self.scene.sensors[view], place, aperture)
+        return Vertices(rays.o, None, None, random, rays)
 
     def meet(self, rays: Any, random: Any) -> Vertices | None:
-        """Where rays hit surfaces, without those that hit none.
+        """The next vertices: where rays hit surfaces, without those that hit none.
 
         Hits of triangles without area, which have no side, are left out too. None where nothing
         is left: Dr.Jit does not compute with arrays of no entries.
@@ -97,6 +95,7 @@ class Paths:
             dr.gather(mi.Vector3f, mi.Vector3f(normal), went_on),
             dr.gather(mi.UInt32, hit.prim_index, went_on),
             dr.gather(mi.PCG32, random, went_on),
+            dr.gather(mi.Ray3f, rays, went_on),
         )
         dr.eval(met.origin, met.normal, met.triangle, met.random)
         return met

@@ -40,7 +40,8 @@ class RaySet:
         The triangle that the ray leaves; -1, the default, where that is not known.
     meta : dict
         JSON-able: scene, digest of the triangles, seed, film size, samples, order, the numbers
-        of primary rays and hits, and ``self_hits``, how many rays hit the triangle they leave.
+        of primary rays and hits, ``self_hits``, how many rays hit the triangle they leave, and
+        ``kind`` and ``occlusion``: see the properties.
 
     Raises
     ------
@@ -73,6 +74,16 @@ class RaySet:
         name = self.meta.get("scene")
         of = f" of {name!r}" if name else ""
         return f"RaySet({len(self):,} rays{of})"
+
+    @property
+    def kind(self) -> str:
+        """What the rays were made as, such as ``diffuse`` or ``shadow``; see ``make_rays``."""
+        return str(self.meta.get("kind", "diffuse"))
+
+    @property
+    def occlusion(self) -> bool:
+        """Whether any hit ends a ray, as of shadow rays; otherwise the closest is wanted."""
+        return bool(self.meta.get("occlusion", False))
 
     def _check_values(self) -> None:
         sound = [

@@ -366,7 +366,7 @@ def trace(
     *,
     style: Style = "single",
     cull: bool = False,
-    any_hit: bool = False,
+    any_hit: bool | None = None,
     repeats: int = 5,
 ) -> Hits:
     """Trace a ray set through a tree: hits, exact counters and kernel times.
@@ -386,8 +386,9 @@ def trace(
     cull : bool
         Re-test popped nodes against the current hit. The paper's kernel does not, the wide
         style cannot.
-    any_hit : bool
-        End each ray at the first hit found instead of the closest.
+    any_hit : bool, optional
+        End each ray at the first hit found instead of the closest; by default as the rays are
+        (:attr:`mibvh.RaySet.occlusion`).
     repeats : int
         Timed launches, after one that is not counted.
 
@@ -404,6 +405,7 @@ def trace(
     if repeats < 1:
         raise MibvhError(f"repeats must be at least 1, not {repeats}")
     rays.check_matches(triangles)
+    any_hit = rays.occlusion if any_hit is None else any_hit
     scale = float(unit_scale(triangles))
     tracer = Tracer(rays, scale, lanes, style=style, cull=cull, any_hit=any_hit)
     records = _cached_records(tree, triangles, tracer.layout, mitsuba().variant())
