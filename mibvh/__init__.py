@@ -33,7 +33,7 @@ if TYPE_CHECKING:
         path_length_ratio,
     )
     from mibvh.metrics.sah import sah, sah_per_node
-    from mibvh.rays import RaySet, diffuse_rays
+    from mibvh.rays import Mixture, RaySet, diffuse_rays, make_rays, read_rays
     from mibvh.scene import Scene, load
     from mibvh.studies import Study, StudyOptions, study
     from mibvh.traversal.trace import Hits, trace
@@ -46,6 +46,7 @@ _PUBLIC = {
     "Estimate": "mibvh.metrics.points",
     "Hits": "mibvh.traversal.trace",
     "MibvhError": "mibvh.errors",
+    "Mixture": "mibvh.rays",
     "Options": "mibvh.builders",
     "RayEnds": "mibvh.metrics.points",
     "RayLines": "mibvh.metrics.lines",
@@ -68,6 +69,7 @@ _PUBLIC = {
     "finite_ray_cost": "mibvh.metrics.predictor",
     "fit_alpha": "mibvh.metrics.predictor",
     "load": "mibvh.scene",
+    "make_rays": "mibvh.rays",
     "option": "mibvh.builders",
     "path_length_ratio": "mibvh.metrics.predictor",
     "plot": "mibvh",
@@ -75,6 +77,7 @@ _PUBLIC = {
     "ray_ends": "mibvh.metrics.points",
     "ray_lines": "mibvh.metrics.lines",
     "read_tree": "mibvh.layouts",
+    "read_rays": "mibvh.rays",
     "rotation_about": "mibvh.triangles",
     "sah": "mibvh.metrics.sah",
     "sah_of_lines": "mibvh.metrics.lines",
@@ -90,6 +93,7 @@ __all__ = [
     "Estimate",
     "Hits",
     "MibvhError",
+    "Mixture",
     "Options",
     "RayEnds",
     "RayLines",
@@ -113,12 +117,14 @@ __all__ = [
     "finite_ray_cost",
     "fit_alpha",
     "load",
+    "make_rays",
     "option",
     "path_length_ratio",
     "plot",
     "point_costs",
     "ray_ends",
     "ray_lines",
+    "read_rays",
     "read_tree",
     "rotation_about",
     "sah",

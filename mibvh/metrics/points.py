@@ -285,7 +285,7 @@ class RayEnds:
         (N,) float64
             Ends per unit of area; 0 for triangles without area.
         """
-        from mibvh.builders.morton import morton_codes
+        from mibvh.morton import morton_codes
 
         hits = np.bincount(self.triangle, minlength=len(triangles)).astype(np.float64)
         order = np.argsort(morton_codes(triangles.lower, triangles.upper), kind="stable")

@@ -397,7 +397,7 @@ def trace(
     *,
     style: Style = "single",
     cull: bool = False,
-    any_hit: bool = False,
+    any_hit: bool | None = None,
     repeats: int = 5,
 ) -> Hits:
     """Trace a ray set through a tree: hits, exact counters and kernel times.
@@ -417,8 +417,9 @@ def trace(
     cull : bool
         Re-test popped nodes against the current hit. The paper's kernel does not, the wide
         style cannot.
-    any_hit : bool
-        End each ray at the first hit found instead of the closest.
+    any_hit : bool, optional
+        End each ray at the first hit found instead of the closest; by default as the rays are
+        (:attr:`mibvh.RaySet.occlusion`).
     repeats : int
         Timed launches, after one that is not counted.
 
@@ -434,12 +435,8 @@ def trace(
     triangles = as_triangles(triangles)
     if repeats < 1:
         raise MibvhError(f"repeats must be at least 1, not {repeats}")
-    belongs = rays.meta.get("digest")
-    if belongs not in (None, triangles.digest):
-        raise MibvhError(
-            f"the rays (of {rays.meta.get('scene', 'another scene')}) were made for another "
-            f"geometry than {triangles.name}"
-        )
+    rays.check_matches(triangles)
+    any_hit = rays.occlusion if any_hit is None else any_hit
     scale = float(unit_scale(triangles))
     tracer = Tracer(rays, scale, lanes, style=style, cull=cull, any_hit=any_hit)
     records = _cached_records(tree, triangles, tracer.layout, mitsuba().variant())
