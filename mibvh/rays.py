@@ -188,7 +188,7 @@ def diffuse_rays(
         np.concatenate([p[2] for p in parts]),
         meta,
     )
-    return rays.select(_morton_order(rays, scene)) if sort else rays
+    return rays.select(morton_order(rays, scene.triangles.bounds)) if sort else rays
 
 
 def _primary_rays(mi: Any, sensor: Any, width: int, height: int, samples: int, rng: Any) -> Any:
@@ -245,9 +245,16 @@ def _bounce(mi: Any, scene: Scene, corners: Any, ray: Any, rng: Any) -> tuple[An
     return ray, rng, source
 
 
-def _morton_order(rays: RaySet, scene: Scene) -> np.ndarray:
-    """Order by bounce, then along a Morton curve of origin (10 bits an axis) and direction (5)."""
-    lower, upper = scene.triangles.bounds.astype(np.float64)
+def morton_order(rays: RaySet, bounds: F32) -> np.ndarray:
+    """Order by bounce, then along a Morton curve of origin (10 bits an axis) and direction (5).
+
+    Parameters
+    ----------
+    rays : RaySet
+    bounds : (2, 3) array
+        Lower and upper corner of the box that the curve fills: the scene's.
+    """
+    lower, upper = bounds.astype(np.float64)
     cell = (rays.o - lower) / np.maximum(upper - lower, 1e-30)
     origin = _interleave(np.clip(cell * 1024, 0, 1023).astype(np.uint64))
     direction = _interleave(np.clip((rays.d + 1.0) * 16, 0, 31).astype(np.uint64))

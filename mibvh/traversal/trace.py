@@ -13,6 +13,7 @@ import numpy.typing as npt
 from mibvh.errors import MibvhError
 from mibvh.files import atomic_path
 from mibvh.rays import RaySet
+from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.records import Layout, Records, make_records, own_memory, unit_scale
 from mibvh.traversal.schedule import Schedule, issued_by_bursts, issued_in_step
 from mibvh.tree import Tree
@@ -185,17 +186,9 @@ class Tracer:
         mitsuba()
         self.lanes, self.style, self.cull, self.any_hit = lanes, style, cull, any_hit
         self.count, self.width = len(rays), lane_width()
-        # Rays that are no numbers hit nothing, and must not upset their neighbours.
-        sound = np.isfinite(rays.o).all(1) & np.isfinite(rays.d).all(1) & ~np.isnan(rays.tmax)
-        o = np.where(sound[:, None], rays.o * np.float32(scale), 0)
-        d = np.where(sound[:, None], rays.d, 0)
-        #: Scene units to the kernel's unit of distance, a power of two: directions are brought
-        #: to a length near 1, so that products neither overflow nor underflow.
-        stretch = np.ldexp(1.0, np.frexp(np.abs(d).max(1))[1].clip(-100, 100))
-        self.unit = stretch * scale
-        d = (d / stretch[:, None]).astype(np.float32)
-        with np.errstate(over="ignore"):
-            tmax = np.where(sound & (d != 0).any(1), rays.tmax * self.unit, -1).astype(np.float32)
+        o, d, tmax, unit = kernel_rays(rays, scale)
+        #: From distances along the rays to the kernel's.
+        self.unit = unit
         if style == "wide":
             self._prepare_wide(o, d, tmax)
         else:
