@@ -408,3 +408,15 @@ def run_queues(lanes, plan, queues, rays, scene, visits, issued):
     """One queue after another: ``(begin, end)`` a row, and their warps' rows of ``issued``."""
     for q in range(len(queues)):
         run_queue(lanes, plan, queues[q, 0], queues[q, 1], rays, scene, visits, issued[q])
+
+
+@njit(allocates=False)
+def count_rounds(lanes, begin, end, rays, scene, visits, per_ray, descents, lengths):
+    """Rounds of each ray alone, and how many are so long: node steps, triangle steps."""
+    plan = Plan(1, False, False, False, ONE_LEAF, 0)
+    for ray in range(begin, end):
+        _take(lanes, 0, ray, rays, scene.root, False)
+        while lanes.node[0] != _DONE:
+            descents[_descend(lanes, 0, plan, scene, visits)] += 1
+            lengths[_test_leaves(lanes, 0, plan, scene, visits)] += 1
+            per_ray[ray] += np.uint32(1)

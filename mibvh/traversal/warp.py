@@ -37,9 +37,10 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.parallel import run_blocks
+from mibvh.parallel import run_blocks, thread_count
 from mibvh.rays import RaySet
 from mibvh.traversal import lockstep
+from mibvh.traversal.divergence import Rounds
 from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.order import Order, ray_order
 from mibvh.traversal.records import binary_rows, unit_scale
@@ -267,6 +268,58 @@ def _rules(style: str, vote: bool | None) -> WarpStyle:
     return dataclasses.replace(rules, vote=vote)
 
 
+def ray_rounds(tree: Tree, triangles: object, rays: RaySet, threads: int | None = None) -> Rounds:
+    """Cut every ray's traversal into its rounds: a descent, and the leaf at its end.
+
+    Parameters
+    ----------
+    tree : Tree
+    triangles : Triangles, Scene or (N, 3, 3) array
+        What the tree was built for.
+    rays : RaySet
+    threads : int, optional
+        :func:`mibvh.parallel.thread_count` by default.
+
+    Raises
+    ------
+    MibvhError
+        If the tree belongs to another geometry.
+    """
+    geometry = as_triangles(triangles)
+    tree.check_matches(geometry)
+    scene, work, _ = _prepare(tree, geometry, rays, np.arange(len(rays), dtype=np.int32))
+    visits, per_ray = lockstep.new_visits(len(rays)), np.zeros(len(rays), np.uint32)
+    workers = threads or thread_count()
+    # No descent is longer than the tree has inner nodes, no leaf than its largest.
+    descents = np.zeros((workers, len(tree) // 2 + 2), np.int64)
+    lengths = np.zeros((workers, int(tree.count[tree.is_leaf].max()) + 1), np.int64)
+    lanes = [lockstep.new_lanes(1) for _ in range(workers)]
+
+    def block(worker: int, begin: int, end: int) -> None:
+        lockstep.count_rounds(
+            lanes[worker], begin, end, work, scene, visits,
+            per_ray, descents[worker], lengths[worker],
+        )  # fmt: skip
+
+    run_blocks(block, len(rays), 4096, workers)
+    return Rounds(
+        per_ray, np.trim_zeros(descents.sum(axis=0), "b"), np.trim_zeros(lengths.sum(axis=0), "b")
+    )
+
+
+def _prepare(
+    tree: Tree, triangles: Triangles, rays: RaySet, dealt: I32
+) -> tuple[lockstep.Scene, lockstep.Rays, npt.NDArray[np.float64]]:
+    """Records, rays in their units, and the units of distance."""
+    rows, root = binary_rows(tree, triangles)
+    prepared = kernel_rays(rays, float(unit_scale(triangles)))
+    return (
+        lockstep.Scene(rows, rows.view(np.int32), np.int32(root)),
+        lockstep.Rays(*prepared[:3], dealt),
+        prepared.unit,
+    )
+
+
 def _run(
     plan: lockstep.Plan,
     tree: Tree,
@@ -278,10 +331,7 @@ def _run(
     threads: int | None,
 ) -> tuple[lockstep.Visits, I64, npt.NDArray[np.float64]]:
     """Run queues of so many rays, with so many warps each, on several threads."""
-    rows, root = binary_rows(tree, triangles)
-    scene = lockstep.Scene(rows, rows.view(np.int32), np.int32(root))
-    prepared = kernel_rays(rays, float(unit_scale(triangles)))
-    work = lockstep.Rays(*prepared[:3], dealt)
+    scene, work, unit = _prepare(tree, triangles, rays, dealt)
     begins = np.arange(0, len(rays), length)
     queues = np.stack([begins, np.minimum(begins + length, len(rays))], axis=1)
     issued = np.zeros((len(queues), warps, 4), np.int64)
@@ -297,4 +347,4 @@ def _run(
         )
 
     run_blocks(block, len(queues), max(1, _BLOCK * 64 // length), threads)
-    return visits, issued.reshape(-1, 4), prepared.unit
+    return visits, issued.reshape(-1, 4), unit
