@@ -13,7 +13,7 @@ from mibvh.variant import lane_width
 
 COUNTERS = ("inner", "leaves", "tests")
 #: The Dr.Jit kernel whose rays visit what a lane alone visits.
-ALONE = {"drjit-speculative": "postponed", "drjit-while-while": "while-while"}
+ALONE = {"drjit-speculative": "speculative", "drjit-while-while": "while-while"}
 #: Generated architecture: pipes, and the flat walls that make spatial splits go deep.
 SCENES = ("powerplant@1500", "livingroom@1500")
 
@@ -51,7 +51,7 @@ def test_a_warp_of_one_is_what_is_counted(scene, builder):
         assert warps.utilisation() == 1
         assert warps.lcv == hits.lcv
     assert_same(simulate(tree, triangles, rays, 1, "speculative", vote=False),
-                counted["postponed"])  # fmt: skip
+                counted["speculative"])  # fmt: skip
 
 
 @pytest.mark.parametrize("builder", ["bbvh", "sbvh", "streelet"])

@@ -12,6 +12,7 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.traversal.records import DONE
+from mibvh.traversal.visits import Visits
 from mibvh.tree import MAX_DEPTH
 
 #: What a lane does with its leaves before the warp descends again: one of them; all at hand, the
@@ -82,16 +83,6 @@ class Lanes(NamedTuple):
     leaf: Any  # (L,) int32: code of the leaf at hand or put aside
     stack: Any  # (L, MAX_DEPTH) int32
     top: Any  # (L,) int32: entries of the stack
-
-
-class Visits(NamedTuple):
-    """What rays met, a row each."""
-
-    t: Any  # (R,) float32
-    triangle: Any  # (R,) int32
-    inner: Any  # (R,) uint32
-    leaves: Any  # (R,) uint32
-    tests: Any  # (R,) uint32
 
 
 def new_lanes(count: int) -> Lanes:

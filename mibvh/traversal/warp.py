@@ -44,6 +44,7 @@ from mibvh.traversal.divergence import Rounds
 from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.order import Order, ray_order
 from mibvh.traversal.records import binary_rows, unit_scale
+from mibvh.traversal.visits import Visits
 from mibvh.tree import Tree
 from mibvh.triangles import F32, I32, Triangles, as_triangles
 
@@ -329,7 +330,7 @@ def _run(
     warps: int,
     length: int,
     threads: int | None,
-) -> tuple[lockstep.Visits, I64, npt.NDArray[np.float64]]:
+) -> tuple[Visits, I64, npt.NDArray[np.float64]]:
     """Run queues of so many rays, with so many warps each, on several threads."""
     scene, work, unit = _prepare(tree, triangles, rays, dealt)
     begins = np.arange(0, len(rays), length)
