@@ -51,6 +51,11 @@ QUANTITIES = {
 }
 #: Those that are estimates of the deviation itself, so that nothing need be fitted.
 ESTIMATES = ("cost_most", "cost_most_real", "rounds_fetch", "rounds_wait", "rounds_real")
+#: Products of quantities to powers; LCV's share of a waiting warp's cost is a quarter.
+EQUATIONS: dict[str, dict[str, float]] = {
+    "(std of cost / mean)^1/2": {"cost_cv": 0.5},
+    "(std of cost / mean)^1/2 x LCV^1/4": {"cost_cv": 0.5, "lcv": 0.25},
+}
 _RESAMPLED = 2000
 
 
@@ -119,17 +124,17 @@ def measure(scene: Any, builder: str, rays: Any, folder: Path | None) -> Row:
     )  # fmt: skip
 
 
-def rays_of(scene: Any, folder: Path | None) -> Any:
+def rays_of(scene: Any, folder: Path | None, width: int) -> Any:
     """Rays that were made before, or new ones."""
     import mibvh
 
     file = folder / scene.name / "rays160.npz" if folder else None
     if file and file.exists():
         return mibvh.RaySet.load(file)
-    return mibvh.diffuse_rays(scene, width=160, height=120, samples=1)
+    return mibvh.diffuse_rays(scene, width=width, height=3 * width // 4, samples=1)
 
 
-def measure_all(sources: list[str], keep: Path, folder: Path | None) -> list[Row]:
+def measure_all(sources: list[str], keep: Path, folder: Path | None, width: int) -> list[Row]:
     """Measure the trees that are not in the file yet, and keep them."""
     import mibvh
     from mibvh.builders import names
@@ -141,7 +146,7 @@ def measure_all(sources: list[str], keep: Path, folder: Path | None) -> list[Row
         for builder in names():
             if any((row.scene, row.builder) == (scene.name, builder) for row in rows):
                 continue
-            rays = rays or rays_of(scene, folder)
+            rays = rays or rays_of(scene, folder, width)
             rows.append(measure(scene, builder, rays, folder))
             print(scene.name, builder, f"{rows[-1].costs['persistent 32']:.2f}", flush=True)
             with atomic_path(keep) as temporary:
@@ -156,8 +161,11 @@ class Scenes:
     """The measured trees, scene by scene."""
 
     def __init__(self, rows: list[Row]) -> None:
-        self.names = list(dict.fromkeys(row.scene for row in rows))
-        self.rows = {name: [row for row in rows if row.scene == name] for name in self.names}
+        rows_of = {row.scene: [r for r in rows if r.scene == row.scene] for row in rows}
+        most = max(map(len, rows_of.values()), default=0)
+        #: Only scenes of which all trees are measured.
+        self.rows = {name: trees for name, trees in rows_of.items() if len(trees) == most}
+        self.names = list(self.rows)
 
     def deviation(self, kernel: str) -> list[F64]:
         """Logarithm of SIMD over scalar cost, less the scene's mean: an array per scene."""
@@ -168,6 +176,12 @@ class Scenes:
         """Logarithm of a quantity, less the scene's mean."""
         return [_centred([row.quantities[name] for row in self.rows[scene]])
                 for scene in self.names]  # fmt: skip
+
+    def equation(self, name: str) -> list[F64]:
+        """Logarithm of a product of quantities to powers, less the scene's mean."""
+        terms = [[power * x for x in self.quantity(quantity)]
+                 for quantity, power in EQUATIONS[name].items()]  # fmt: skip
+        return [np.sum(scene, axis=0) for scene in zip(*terms, strict=True)]
 
 
 def _centred(values: list[float]) -> F64:
@@ -180,17 +194,26 @@ def pooled_r(x: list[F64], y: list[F64]) -> float:
     return float(np.corrcoef(np.concatenate(x), np.concatenate(y))[0, 1])
 
 
-def explained(x: list[F64], y: list[F64], slope: float | None = None) -> F64:
-    """(scenes, 2): squares of the deviation that are left, and all; slope of the other scenes."""
-    left = []
-    for i in range(len(x)):
-        others = [j for j in range(len(x)) if j != i]
-        b = slope
-        if b is None:
-            xs, ys = (np.concatenate([v[j] for j in others]) for v in (x, y))
-            b = float(xs @ ys / (xs @ xs))
-        left.append((((y[i] - b * x[i]) ** 2).sum(), (y[i] ** 2).sum()))
-    return np.array(left)
+def explained(x: list[F64], y: list[F64], fitted: bool = True) -> F64:
+    """(scenes, 2): squares of the deviation that are left, and all.
+
+    A scene's deviation is predicted by the quantity times a slope: that of the other scenes, or 1.
+    """
+    slopes = [slope([x], y, i)[0] if fitted else 1.0 for i in range(len(x))]
+    return np.array([(((v - b * u) ** 2).sum(), (v**2).sum())
+                     for u, v, b in zip(x, y, slopes, strict=True)])  # fmt: skip
+
+
+def slope(columns: list[list[F64]], y: list[F64], without: int) -> F64:
+    """Slopes of some quantities together, by least squares over all scenes but one."""
+    others = [j for j in range(len(y)) if j != without]
+    xs = np.stack([np.concatenate([x[j] for j in others]) for x in columns], axis=1)
+    return np.linalg.lstsq(xs, np.concatenate([y[j] for j in others]), rcond=None)[0]
+
+
+def together(columns: list[list[F64]], y: list[F64]) -> list[F64]:
+    """Deviation that some quantities predict, each scene with the slopes of the others."""
+    return [np.stack([x[i] for x in columns], axis=1) @ slope(columns, y, i) for i in range(len(y))]
 
 
 def share(squares: F64) -> float:
@@ -264,76 +287,79 @@ def by_builder(scenes: Scenes) -> None:
 
 def explanations(scenes: Scenes) -> None:
     """Which quantity explains the deviation of which kernel."""
-    draws = resampled(len(scenes.names))
     for kernel in KERNELS:
         y = scenes.deviation(kernel)
-        lcv = explained(scenes.quantity("lcv"), y)
         lines = []
         for name, heading in QUANTITIES.items():
             x = scenes.quantity(name)
-            squares = explained(x, y)
-            rs = [pooled_r([x[i] for i in draw], [y[i] for i in draw]) for draw in draws]
-            gains = [share(squares[draw]) - share(lcv[draw]) for draw in draws]
-            raw = f"{share(explained(x, y, 1.0)):.2f}" if name in ESTIMATES else ""
-            lines.append(
-                [heading, f"{pooled_r(x, y):.2f}", interval(rs), f"{share(squares):.2f}",
-                 "" if name == "lcv" else interval(gains), raw]
-            )  # fmt: skip
+            raw = explained(x, y, fitted=False) if name in ESTIMATES else None
+            lines.append([heading, *_judged(scenes, y, x, explained(x, y), raw)])
+        both = together([scenes.quantity("cost_cv"), scenes.quantity("lcv")], y)
+        held = explained(both, y, fitted=False)
+        lines.append(["std of cost / mean, and LCV", *_judged(scenes, y, both, held, None)])
+        for name in EQUATIONS:
+            x = scenes.equation(name)
+            raw = explained(x, y, fitted=False)
+            lines.append([name, *_judged(scenes, y, x, None, raw)])
         print(f"\n## What explains the deviation of `{kernel}`")
         table(["quantity", "r pooled", "95% over scenes", "explained, held out",
-               "more than LCV, 95%", "explained, nothing fitted"], lines)  # fmt: skip
+               "explained, nothing fitted", "more than LCV held out, 95%"], lines)  # fmt: skip
+
+
+def _judged(
+    scenes: Scenes, y: list[F64], x: list[F64], held: F64 | None, raw: F64 | None
+) -> list[str]:
+    """Cells of a quantity: r, what it explains, and how much more that is than LCV explains."""
+    lcv = explained(scenes.quantity("lcv"), y)
+    best = raw if held is None else held
+    draws = resampled(len(y))
+    rs = [pooled_r([x[i] for i in draw], [y[i] for i in draw]) for draw in draws]
+    gains = [] if best is None else [share(best[draw]) - share(lcv[draw]) for draw in draws]
+    shares = ["" if squares is None else f"{share(squares):.2f}" for squares in (held, raw)]
+    return [f"{pooled_r(x, y):.2f}", interval(rs), *shares, interval(gains)]
 
 
 def predictions(scenes: Scenes) -> None:
     """How well SAH, EPO and a quantity predict scalar and SIMD cost."""
-    from mibvh.metrics.predictor import fit_alpha, fitted_combination, pearson, predict
-
-    def columns(name: str) -> tuple[F64, F64, F64, F64]:
-        rows = scenes.rows[name]
-        return (np.array([r.sah for r in rows]), np.array([r.epo for r in rows]),
-                np.array([r.lcv for r in rows]), np.array([r.scalar for r in rows]))  # fmt: skip
-
     for kernel in KERNELS:
-        found: dict[str, list[float]] = {}
-        y, slopes = scenes.deviation(kernel), {}
+        factors = {"": [np.zeros(len(rows)) for rows in scenes.rows.values()]}
+        y = scenes.deviation(kernel)
         for quantity in ("lcv", "lcv_mean", "cost_cv", "rounds_fetch", "rounds_wait"):
             x = scenes.quantity(quantity)
-            slopes[quantity] = [_slope(x, y, i) for i in range(len(x))]
+            factors[f" x ({QUANTITIES[quantity]})^b, b of the others"] = together([x], y)
+        for name in EQUATIONS:
+            factors[f" x {name}"] = scenes.equation(name)
+        found: dict[str, list[float]] = {}
         for i, name in enumerate(scenes.names):
-            sah, epo, lcv, scalar = columns(name)
-            simd = np.array([row.costs[kernel] for row in scenes.rows[name]])
-            base = predict(sah, epo, fit_alpha(sah, epo, simd))
-            scalar_base = predict(sah, epo, fit_alpha(sah, epo, scalar))
-            entries = {
-                "scalar: SAH + EPO": pearson(scalar_base, scalar),
-                "SIMD: SAH + EPO": pearson(base, simd),
-                "SIMD: SAH + EPO + LCV, both weights fitted": pearson(
-                    fitted_combination([sah, epo, lcv], simd), simd
-                ),
-            }
-            for quantity, slope in slopes.items():
-                factor = np.exp(slope[i] * scenes.quantity(quantity)[i])
-                alpha = fit_alpha(sah, epo, simd / factor)
-                entries[f"SIMD: (SAH + EPO) x ({QUANTITIES[quantity]})^b, b of the others"] = (
-                    pearson(predict(sah, epo, alpha) * factor, simd)
-                )
-            entries["SIMD: scalar cost"] = pearson(scalar, simd)
-            for quantity, slope in slopes.items():
-                factor = np.exp(slope[i] * scenes.quantity(quantity)[i])
-                entries[f"SIMD: scalar cost x ({QUANTITIES[quantity]})^b, b of the others"] = (
-                    pearson(scalar * factor, simd)
-                )
-            for key, value in entries.items():
+            for key, value in _correlations(
+                scenes.rows[name], kernel, {key: np.exp(f[i]) for key, f in factors.items()}
+            ).items():
                 found.setdefault(key, []).append(value)
         print(f"\n## r with the cost of `{kernel}`")
         lines = [[key, f"{np.mean(v):.3f}", f"{np.min(v):.3f}"] for key, v in found.items()]
         table(["predictor", "mean r", "least"], lines)
-        print("\nb:", ", ".join(f"{QUANTITIES[q]} {np.mean(s):.2f}" for q, s in slopes.items()))
 
 
-def _slope(x: list[F64], y: list[F64], without: int) -> float:
-    xs, ys = (np.concatenate([v[j] for j in range(len(v)) if j != without]) for v in (x, y))
-    return float(xs @ ys / (xs @ xs))
+def _correlations(rows: list[Row], kernel: str, factors: dict[str, F64]) -> dict[str, float]:
+    """Correlations over the trees of a scene, predictor by predictor."""
+    from mibvh.metrics.predictor import fit_alpha, fitted_combination, pearson, predict
+
+    sah, epo, lcv, scalar = (
+        np.array([getattr(row, name) for row in rows]) for name in ("sah", "epo", "lcv", "scalar")
+    )
+    simd = np.array([row.costs[kernel] for row in rows])
+    found = {
+        "scalar: SAH + EPO": pearson(predict(sah, epo, fit_alpha(sah, epo, scalar)), scalar),
+        "SIMD: SAH + EPO + LCV, all weights fitted": pearson(
+            fitted_combination([sah, epo, lcv], simd), simd
+        ),
+    }
+    for key, factor in factors.items():
+        alpha = fit_alpha(sah, epo, simd / factor)
+        found[f"SIMD: (SAH + EPO){key}"] = pearson(predict(sah, epo, alpha) * factor, simd)
+    for key, factor in factors.items():
+        found[f"SIMD: scalar cost{key}"] = pearson(scalar * factor, simd)
+    return found
 
 
 def widths(scenes: Scenes) -> None:
@@ -382,9 +408,11 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*")
     parser.add_argument("--keep", type=Path, default=Path("simd.json"), help="measured so far")
     parser.add_argument("--trees", type=Path, help="folder of trees and rays made before")
+    parser.add_argument("--width", type=int, default=160, help="pixels per viewpoint, across")
     parser.add_argument("--figure", type=Path, help="where to draw the curves over width")
     arguments = parser.parse_args()
-    scenes = Scenes(measure_all(arguments.scenes, arguments.keep, arguments.trees))
+    rows = measure_all(arguments.scenes, arguments.keep, arguments.trees, arguments.width)
+    scenes = Scenes(rows)
     if not scenes.names:
         raise SystemExit(f"nothing is measured in {arguments.keep}: name scenes")
     print(f"{len(scenes.names)} scenes, {sum(map(len, scenes.rows.values()))} trees")
