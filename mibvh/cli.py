@@ -270,7 +270,7 @@ def trace(
     lanes: Annotated[str, typer.Option(help="simd or scalar")] = "simd",
     style: Annotated[
         str,
-        typer.Option(help="single (as the study), while-while, postponed, or wide: the fastest"),
+        typer.Option(help="single (as the study), while-while, speculative, or wide: the fastest"),
     ] = "single",
     cull: Annotated[bool, typer.Option(help="re-test popped nodes against the hit")] = False,
     any_hit: Annotated[bool, typer.Option(help="end at the first hit found")] = False,
@@ -285,7 +285,7 @@ def trace(
     triangles = _load(scene).triangles
     hits = run(
         Tree.load(tree), triangles, RaySet.load(rays), lanes,  # type: ignore[arg-type]
-        style=style, cull=cull, any_hit=any_hit, repeats=repeats,  # type: ignore[arg-type]
+        style=style, cull=cull, any_hit=any_hit, repeats=repeats,
     )  # fmt: skip
     if output:
         hits.save(output)

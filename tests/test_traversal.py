@@ -5,7 +5,7 @@ from conftest import closed_box, soup
 import mibvh
 from mibvh.variant import lane_width
 
-STYLES = ["single", "while-while", "postponed", "wide"]
+STYLES = ["single", "while-while", "speculative", "wide"]
 in_every_style = pytest.mark.parametrize("style", STYLES)
 
 

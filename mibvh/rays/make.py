@@ -6,11 +6,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.morton import ray_codes
 from mibvh.rays.kinds import Kind, KindOptions, kind_named
+from mibvh.rays.order import morton_order
 from mibvh.rays.origins import check_resolution
 from mibvh.rays.paths import Paths, Vertices, cosine_directions
 from mibvh.rays.rayset import RaySet
@@ -137,7 +136,7 @@ def collect(
             f"{scene.name}: {self_hits} of {len(rays)} {kind.name} rays hit the triangle that they "
             f"leave, more than {MOST_SELF_HITS:.1%}: float32 is too coarse for this geometry"
         )
-    return rays.select(_order(rays, scene.triangles.bounds)) if sort else rays
+    return rays.select(morton_order(rays, scene.triangles.bounds)) if sort else rays
 
 
 def _checked(scene: Scene, viewpoints: int | None, **sizes: int) -> int:
@@ -202,9 +201,3 @@ def joined(parts: Sequence[RaySet], meta: dict[str, Any]) -> RaySet:
     names = ("o", "d", "tmax", "viewpoint", "bounce", "source")
     arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return RaySet(**arrays, meta=meta)
-
-
-def _order(rays: RaySet, bounds: Any) -> npt.NDArray[np.int64]:
-    """Order by bounce, then along a Morton curve of origin and direction."""
-    codes = ray_codes(rays.o, rays.d, bounds)
-    return np.argsort((rays.bounce.astype(np.uint64) << np.uint64(45)) | codes, kind="stable")

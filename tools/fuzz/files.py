@@ -71,7 +71,7 @@ class Bench:
         hits = self.trace(tree, self.rays, style)
         same("hits", hits.t, self.truth.t)
         agree("SAH", value, slow_sah(tree), 1e-9)
-        estimate = mibvh.epo(tree, self.triangles, samples=2000)
+        estimate = mibvh.estimate_epo(tree, self.triangles, samples=2000)
         agree("EPO", exact, estimate.value, 1e-6, 6 * estimate.standard_error)
         if stats["triangles"] != len(self.triangles):
             raise AssertionError(f"{stats['triangles']} triangles")
