@@ -435,6 +435,14 @@ def test_files_that_are_cut_short(refusal):
     assert "its JSON is damaged" in refusal(whole.replace(b'"asset"', b'\xff"asse"', 1))
 
 
+def test_primitives_that_would_fill_the_memory(refusal, monkeypatch):
+    """Two triangles that fifty primitives share, where memory is for 99 of a hundred."""
+    file = one_scene([{"mesh": 0}])
+    file.document["meshes"] = [{"primitives": [file.square()] * 50}]
+    monkeypatch.setattr("mibvh.memory.available_memory", lambda: 99 * 180)
+    assert "100 triangles need about" in refusal(file)
+
+
 def test_instances_that_would_fill_the_memory(refusal, monkeypatch):
     """Two triangles that five hundred nodes share, where memory is for 999 of a thousand."""
     file = File(nodes=[{"mesh": 0}] * 500, scenes=[{"nodes": list(range(500))}], scene=0)

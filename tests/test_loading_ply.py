@@ -135,6 +135,7 @@ TEXT = ply(POINTS, FACES, "ascii")
         (WHOLE.replace(b"float x", b"real x"), "a line that says nothing: 'property real x'"),
         (WHOLE.replace(b"binary_little_endian 1.0", b"binary 1.0"), "says nothing"),
         (WHOLE.replace(b"list uchar", b"list float"), "a list of unknown type"),
+        (ply(POINTS, [(0, 1, 2)], length="uint")[:-16] + b"\xff" * 16, "has fewer: cut short"),
         (b"ply\nformat ascii 1.0\n", "its header does not end"),
         (b"PLY\n", "does not begin with 'ply'"),
         (ply(POINTS, [(0, 0, 1)]), "its 1 triangles all have no area"),

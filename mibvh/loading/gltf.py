@@ -141,7 +141,8 @@ class _Reader:
 
     def _mesh_triangles(self, node: dict[str, Any], mesh: dict[str, Any]) -> list[F64]:
         weights = node.get("weights", mesh.get("weights", []))
-        parts = []
+        parts: list[F64] = []
+        total = 0
         for k, primitive in enumerate(mesh.get("primitives", [])):
             mode = primitive.get("mode", _TRIANGLES)
             if mode not in (_TRIANGLES, _STRIP, _FAN):
@@ -154,7 +155,10 @@ class _Reader:
             positions = self._morphed(positions, primitive, weights)
             if "skin" in node:
                 positions = self._skinned(positions, primitive, node["skin"])
-            parts.append(corners_of(positions, _faces(indices, mode)))
+            faces = _faces(indices, mode)
+            total += len(faces)
+            check_memory(total)  # primitives may share one long list of indices
+            parts.append(corners_of(positions, faces))
         return parts
 
     def _geometry(self, primitive: dict[str, Any]) -> tuple[F64, I64]:

@@ -198,6 +198,8 @@ def _first_lengths(data: bytes, at: int, element: Element, order: str) -> dict[i
             if element.count and at + kind.itemsize <= len(data):
                 lengths[i] = max(int(np.frombuffer(data, kind, 1, at)[0]), 0)
             at += kind.itemsize + lengths[i] * np.dtype(prop.kind).itemsize
+            if element.count and at > len(data):
+                raise Refused(_short(element))
         else:
             at += np.dtype(prop.kind).itemsize
     return lengths
