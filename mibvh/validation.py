@@ -55,7 +55,7 @@ def _structure(left, first, count, references):
             return 6, n
         child = np.int64(left[n])
         if child == -1:
-            if _repeats(references[first[n] : first[n] + count[n]]):
+            if _repeats(references, first[n], count[n]):
                 return 9, n
             continue
         if child <= n:
@@ -77,13 +77,13 @@ def _structure(left, first, count, references):
 
 
 @njit
-def _repeats(ids):
-    """Whether a value stands in the array twice."""
-    if len(ids) > _SMALL_LEAF:
-        ids = np.sort(ids)
-        return (ids[1:] == ids[:-1]).any()
-    for i in range(1, len(ids)):
-        for k in range(i):
+def _repeats(ids, first, count):
+    """Whether a value stands twice among ``count`` of the array's from ``first``."""
+    if count > _SMALL_LEAF:
+        run = np.sort(ids[first : first + count])
+        return (run[1:] == run[:-1]).any()
+    for i in range(first + 1, first + count):
+        for k in range(first, i):
             if ids[i] == ids[k]:
                 return True
     return False
