@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.files import TABLES, read_arrays, write_arrays
+from mibvh.files import check_columns, read_arrays, write_arrays
 from mibvh.ranges import check
 from mibvh.rays import RaySet
 from mibvh.traversal.kernel_rays import kernel_rays
@@ -26,7 +26,11 @@ Lanes = Literal["simd", "scalar"]
 #: Name of a style in :data:`mibvh.traversal.styles.STYLES`.
 Style = str
 U32 = npt.NDArray[np.uint32]
-_ARRAYS = (*TABLES["hits"], "seconds")
+_COLUMNS = {
+    "t": "float32", "triangle": "int32", "inner": "uint32", "leaves": "uint32", "tests": "uint32",
+    "steps": "uint32",
+}  # fmt: skip
+_ARRAYS = (*_COLUMNS, "seconds")
 #: What else a file of hits tells.
 _FACTS = {"lanes": str, "lane_width": int, "issued": int, "style": str}
 
@@ -161,6 +165,7 @@ class Hits:
             If the file is missing, holds no hits, is damaged, or comes from a newer format.
         """
         arrays, meta = read_arrays(path, "hits", _ARRAYS)
+        check_columns(path, "hits", arrays, _COLUMNS)
         if arrays["seconds"].dtype != np.float64 or arrays["seconds"].ndim != 1:
             raise MibvhError(f"{path}: hits: the seconds are no times")
         for name, kind in _FACTS.items():
