@@ -17,6 +17,8 @@ from mibvh.triangles import F32, F64, I32, Triangles
 
 #: Inner nodes on a path; the traversal stack holds as many entries.
 MAX_DEPTH = 64
+#: Deeper trees are refused altogether: exact EPO takes memory by the square of the depth.
+DEEPEST = 1024
 _ARRAYS = ("lower", "upper", "left", "first", "count", "references")
 
 
