@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from pathlib import Path
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -92,8 +92,7 @@ def _tree(scene: mibvh.Scene, path: Path, builder: str) -> mibvh.Tree:
 def _row(scene: mibvh.Scene, rays: mibvh.RaySet, trees: list[mibvh.Tree], sah: np.ndarray) -> Row:
     triangles = scene.triangles
     closest = mibvh.trace(trees[0], triangles, rays, any_hit=False, repeats=1)
-    ends = SimpleNamespace(t=np.minimum(closest.t, rays.tmax), triangle=closest.triangle)
-    length = path_length_ratio(triangles, rays, ends)
+    length = path_length_ratio(triangles, rays, closest)
     cost = [mibvh.trace(tree, triangles, rays, repeats=1).counted_cost() for tree in trees]
     query = [_starts(scene, rays, tree) for tree in trees]
     saved = [
@@ -128,8 +127,8 @@ def _mixture(rows: list[Row]) -> Row:
     def mean(name: str) -> np.ndarray:
         return np.average([getattr(row, name) for row in rows], axis=0, weights=weights)
 
-    names = [field.name for field in dataclasses.fields(Row)]
-    return Row(**{**{name: mean(name) for name in names}, "count": int(weights.sum())})
+    values: dict[str, Any] = {field.name: mean(field.name) for field in dataclasses.fields(Row)}
+    return Row(**{**values, "count": int(weights.sum())})
 
 
 def _print(scene: str, kind: str, row: Row, sah: np.ndarray, epo: np.ndarray) -> None:
