@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +50,7 @@ def read_rays(path: str | os.PathLike[str]) -> RaySet:
         raise MibvhError(f"{path}: rays are read from {', '.join(readers)} files")
     try:
         return read(path)
-    except (OSError, ValueError, EOFError, KeyError, IndexError, zipfile.BadZipFile) as error:
+    except Exception as error:  # NumPy's and zipfile's readers raise whatever theirs raise
         reason = " ".join(str(error).split()) or type(error).__name__
         if reason.startswith(str(path)):
             raise MibvhError(reason) from None
