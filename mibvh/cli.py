@@ -268,21 +268,31 @@ def rays(
     samples: Annotated[int, typer.Option(help="paths per pixel")] = 4,
     bounces: Annotated[int, typer.Option(help="diffuse rays per path, at most")] = 1,
     seed: Annotated[int, typer.Option(help="of the random numbers")] = 0,
+    kind: Annotated[
+        str, typer.Option(help="diffuse, primary, shadow, ao, or bounce2, shadow2, ...")
+    ] = "diffuse",
     define: Define = None,
     as_json: Json = False,
 ) -> None:
-    """Path-trace diffuse rays with Mitsuba and save them."""
-    from mibvh import diffuse_rays
+    """Path-trace diffuse rays, or others from the same paths, with Mitsuba and save them."""
+    from mibvh import diffuse_rays, make_rays
 
+    if kind != "diffuse" and bounces != 1:
+        raise MibvhError("--bounces is for diffuse rays; name a later vertex as in shadow2")
     loaded = _load(scene, define)
+    how: dict[str, Any] = {
+        "viewpoints": viewpoints, "width": width, "height": height, "samples": samples,
+        "seed": seed,
+    }  # fmt: skip
     with _progress() as bar:
         task = bar.add_task("rays", total=1.0)
-        found = diffuse_rays(
-            loaded, viewpoints=viewpoints, width=width, height=height, samples=samples,
-            bounces=bounces, seed=seed, progress=lambda done: bar.update(task, completed=done),
-        )  # fmt: skip
+        how["progress"] = lambda done: bar.update(task, completed=done)
+        if kind == "diffuse":
+            found = diffuse_rays(loaded, bounces=bounces, **how)
+        else:
+            found = make_rays(loaded, kind, **how)
     found.save(output)
-    per_bounce = {int(b): int((found.bounce == b).sum()) for b in range(1, bounces + 1)}
+    per_bounce = {int(b): int((found.bounce == b).sum()) for b in sorted(set(found.bounce))}
     _print({"rays": len(found), **found.meta, "rays_per_bounce": per_bounce}, as_json)
 
 
@@ -304,13 +314,13 @@ def trace(
     as_json: Json = False,
 ) -> None:
     """Trace rays through a tree: hits, exact counters, kernel time."""
-    from mibvh import RaySet, Tree
+    from mibvh import Tree, read_rays
     from mibvh.traversal.trace import trace as run
 
     triangles = _load(scene, define).triangles
     hits = run(
-        Tree.load(tree), triangles, RaySet.load(rays), lanes,  # type: ignore[arg-type]
-        style=style, cull=cull, any_hit=any_hit, repeats=repeats,
+        Tree.load(tree), triangles, read_rays(rays), lanes,  # type: ignore[arg-type]
+        style=style, cull=cull, any_hit=any_hit or None, repeats=repeats,
     )  # fmt: skip
     if output:
         hits.save(output)
