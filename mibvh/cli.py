@@ -7,6 +7,7 @@ or 2 with one sentence for a user's mistake.
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import json
 import os
@@ -45,6 +46,9 @@ LayoutOption = Annotated[
     str | None,
     typer.Option(help="mibvh, tinybvh, madmann91 or npz; by default npz by its ending, else mibvh"),
 ]
+#: Exit code of a command whose audit failed.
+AUDIT_FAILED = 3
+
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
 
 
@@ -256,6 +260,54 @@ def triangles_command(
     with atomic_path(output) as path:
         path.write_bytes(triangles.corners.astype("<f4").tobytes())
     _print({"triangles": len(triangles), "digest": triangles.digest}, as_json)
+@app.command("audit")
+def audit_command(
+    scene: SceneArgument,
+    tree: TreeArgument,
+    rays: Annotated[
+        Path | None, typer.Argument(metavar="[RAYS.npz]", help="diffuse rays by default")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="of points and samples")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Check a tree and its numbers by paths that share no code; exit code 3 if one fails."""
+    from mibvh import RaySet, Tree
+    from mibvh.audit import audit
+
+    loaded = _load(scene)
+    with _progress() as bar:
+        task = bar.add_task("audit", total=1.0)
+        found = audit(
+            loaded,
+            Tree.load(tree),
+            RaySet.load(rays) if rays else None,
+            seed=seed,
+            progress=_show(bar, task),
+        )
+    if as_json:
+        typer.echo(json.dumps({**dataclasses.asdict(found), "passed": found.passed}))
+    else:
+        _print_audit(found)
+    if not found.passed:
+        raise typer.Exit(AUDIT_FAILED)
+
+
+def _print_audit(found: Any) -> None:
+    """Print the checks as a table, failures in red."""
+    table = Table(box=None)
+    for heading in ("check", "", "value", "expected", "within", "compared"):
+        table.add_column(heading)
+    for check in found.checks:
+        table.add_row(
+            check.name,
+            "passed" if check.passed else "FAILED",
+            f"{check.value:.6g}",
+            f"{check.expected:.6g}",
+            f"{check.tolerance:.3g}",
+            check.detail,
+            style=None if check.passed else "red",
+        )
+    Console().print(table)
 
 
 @app.command()
