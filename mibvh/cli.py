@@ -20,6 +20,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from mibvh.errors import MibvhError
 
@@ -60,7 +61,7 @@ def _print(result: dict[str, Any], as_json: bool) -> None:
     table = Table(show_header=False, box=None)
     for name, value in result.items():
         text = f"{value:.6g}" if isinstance(value, float) else str(value)
-        table.add_row(name, text)
+        table.add_row(name, Text(text))  # brackets are no markup
     Console().print(table)
 
 
