@@ -261,6 +261,8 @@ def triangles_command(
     with atomic_path(output) as path:
         path.write_bytes(triangles.corners.astype("<f4").tobytes())
     _print({"triangles": len(triangles), "digest": triangles.digest}, as_json)
+
+
 @app.command("audit")
 def audit_command(
     scene: SceneArgument,
@@ -269,13 +271,14 @@ def audit_command(
         Path | None, typer.Argument(metavar="[RAYS.npz]", help="diffuse rays by default")
     ] = None,
     seed: Annotated[int, typer.Option(help="of points and samples")] = 0,
+    define: Define = None,
     as_json: Json = False,
 ) -> None:
     """Check a tree and its numbers by paths that share no code; exit code 3 if one fails."""
     from mibvh import RaySet, Tree
     from mibvh.audit import audit
 
-    loaded = _load(scene)
+    loaded = _load(scene, define)
     with _progress() as bar:
         task = bar.add_task("audit", total=1.0)
         found = audit(
@@ -483,10 +486,22 @@ def study(
     if as_json:
         rows = json.loads(result.table.to_json(orient="records"))
         r = json.loads(result.correlations.to_json(orient="records"))
-        last = {"event": "result", "report": str(result.report), "trees": rows, "correlations": r}
+        failed = [
+            {"scene": scene, "tree": tree, **dataclasses.asdict(check)}
+            for scene, tree, check in result.failures
+        ]
+        last = {
+            "event": "result",
+            "report": str(result.report),
+            "trees": rows,
+            "correlations": r,
+            "audit_failures": failed,
+        }
         typer.echo(json.dumps(last))
-        return
-    _print_study(result)
+    else:
+        _print_study(result)
+    if result.failures:
+        raise typer.Exit(AUDIT_FAILED)
 
 
 def _print_study(result: Any) -> None:
@@ -507,6 +522,14 @@ def _print_study(result: Any) -> None:
         values = [f"{row[c]:.3f}" if row[c] == row[c] else "–" for c in ("mean", "min", "max")]
         table.add_row(measurement, predictor, *values, str(int(row["scenes"])))
     console.print(table)
+    for scene, tree, check in result.failures:
+        console.print(
+            Text(
+                f"audit FAILED: {scene}, {tree}: {check.name} is {check.value:.6g}, expected "
+                f"{check.expected:.6g} within {check.tolerance:.3g} ({check.detail})",
+                style="red",
+            )
+        )
     console.print(f"\nreport: {result.report}", soft_wrap=True)
 
 

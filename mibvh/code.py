@@ -26,7 +26,8 @@ def code_digest(*modules: str) -> str:
     Parameters
     ----------
     *modules : str
-        Dotted names, such as ``mibvh.metrics.epo``. Imports within functions are followed too.
+        Dotted names, such as ``mibvh.metrics.epo``. Imports within functions are followed too,
+        and modules that a registry names in a string.
 
     Returns
     -------
@@ -63,7 +64,7 @@ def _module(name: str) -> tuple[str, frozenset[str]]:
     imported = frozenset(
         found
         for node in ast.walk(tree)
-        for found in _imported(node)
+        for found in (*_imported(node), *_named(node))
         if found.split(".")[0] == _PACKAGE and _path(found) is not None
     )
     _drop_docstrings(tree)
@@ -79,6 +80,17 @@ def _imported(node: ast.AST) -> list[str]:
     return []
 
 
+def _named(node: ast.AST) -> list[str]:
+    """Modules that a string names: whole, or as ``f"mibvh.rays.kinds.{name}"`` all of a package."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return [node.value] if node.value.startswith(f"{_PACKAGE}.") else []
+    if isinstance(node, ast.JoinedStr) and isinstance(node.values[0], ast.Constant):
+        package, dot, rest = str(node.values[0].value).rpartition(".")
+        path = _path(package) if dot and not rest and package.startswith(_PACKAGE) else None
+        return [f"{package}.{file.stem}" for file in path.parent.glob("*.py")] if path else []
+    return []
+
+
 def _drop_docstrings(tree: ast.Module) -> None:
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(
@@ -90,6 +102,8 @@ def _drop_docstrings(tree: ast.Module) -> None:
 @functools.cache
 def _path(name: str) -> Path | None:
     """File of a module of this package, or None if there is none of that name."""
+    if not all(part.isidentifier() for part in name.split(".")):
+        return None
     place = Path(__file__).parent.joinpath(*name.split(".")[1:])
     for path in (place.with_suffix(".py"), place / "__init__.py"):
         if path.is_file():

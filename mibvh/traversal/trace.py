@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-from typing import Any, Literal
+import time
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -182,6 +183,21 @@ class Hits:
         return hits
 
 
+class LaunchSeconds(NamedTuple):
+    """What a launch took, by two clocks.
+
+    Attributes
+    ----------
+    kernel : float
+        Wall time of the kernel.
+    process : float
+        CPU time of the process while the kernel ran, all threads together.
+    """
+
+    kernel: float
+    process: float
+
+
 class Tracer:
     """A ray set in Dr.Jit's memory, ready to be traced through any tree of one scene.
 
@@ -239,15 +255,15 @@ class Tracer:
         """Layout of the records that the style reads."""
         return self._style.layout
 
-    def run(self, records: Records, *, count: bool = False) -> tuple[Visits, float]:
+    def run(self, records: Records, *, count: bool = False) -> tuple[Visits, LaunchSeconds]:
         """Trace once.
 
         Returns
         -------
         visits : Visits
             Dr.Jit arrays, evaluated; the counters only if they were asked for.
-        seconds : float
-            Kernel execution time, without tracing and compilation.
+        seconds : LaunchSeconds
+            Without tracing and compilation.
         """
         import drjit as dr
 
@@ -257,10 +273,15 @@ class Tracer:
             )
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
+            process, thread = time.process_time(), time.thread_time()
             visits = self.launch(records, count)
+            # Until here this thread has traced the kernel; others execute it.
+            thread = time.thread_time() - thread
             dr.sync_thread()
+            process = time.process_time() - process - thread
             history = dr.kernel_history([dr.KernelType.JIT])
-        return visits, sum(kernel["execution_time"] for kernel in history) / 1e3
+        kernel = sum(launched["execution_time"] for launched in history) / 1e3
+        return visits, LaunchSeconds(kernel, process)
 
     def fetch(self, column: Any) -> npt.NDArray[Any]:
         """One column of visits as a NumPy array with an entry per ray."""
@@ -282,7 +303,7 @@ class Tracer:
         outputs, _ = self.run(records, count=True)
         if repeats:
             self.run(records)  # the first launch may compile
-        seconds = np.array([self.run(records)[1] for _ in range(repeats)])
+        seconds = np.array([self.run(records)[1].kernel for _ in range(repeats)])
         visits = Visits(*map(self.fetch, outputs))
         return Hits(
             (visits.t / self.unit).astype(np.float32), visits.triangle.view(np.int32),

@@ -17,27 +17,21 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal, NamedTuple, get_args
+from typing import Literal
 
 import numpy as np
 
+from mibvh.traversal.trace import LaunchSeconds
 from mibvh.triangles import F64
 
 #: Wall time of the kernels, or CPU time of the process while they run.
 Clock = Literal["kernel", "process"]
-CLOCKS: tuple[Clock, ...] = get_args(Clock)
+CLOCKS: tuple[Clock, ...] = ("kernel", "process")  # in the order of LaunchSeconds
 #: A launch shorter than this, in seconds, is not timed: starting it costs a share of that.
 SHORTEST = 0.02
 
 _FEWEST_ROUNDS = 7
 _RESAMPLES = 400
-
-
-class Reading(NamedTuple):
-    """Seconds that a launch took, by each clock."""
-
-    kernel: float
-    process: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -120,7 +114,7 @@ def _blocks(rounds: int) -> np.ndarray:
 
 
 def measure(
-    launches: Sequence[Callable[[int], Reading]],
+    launches: Sequence[Callable[[int], LaunchSeconds]],
     *,
     portions: int = 1,
     seconds: float,
