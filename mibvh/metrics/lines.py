@@ -47,6 +47,10 @@ class RayLines:
     def __len__(self) -> int:
         return len(self.share)
 
+    def sah(self, tree: Tree) -> Estimate:
+        """SAH of a tree with these lines; see :func:`sah_of_lines`."""
+        return sah_of_lines(tree, self)
+
 
 def ray_lines(triangles: Any, rays: Any, hits: Any, count: int | None = None) -> RayLines:
     """Lines of a ray set.

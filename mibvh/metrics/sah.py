@@ -83,7 +83,5 @@ def _of_lines(tree: Tree, c_inner: float | None, c_tri: float | None, asked: dic
             raise TypeError(f"sah() got an unexpected keyword argument {name!r}")
     if c_inner is not None or c_tri is not None:
         raise MibvhError("with ray_lines, the cost constants are those the tree was built with")
-    from mibvh.metrics.lines import sah_of_lines  # needs the node costs of this file
-
     warnings.warn("sah(ray_lines=) is now sah_of_lines()", DeprecationWarning, stacklevel=3)
-    return sah_of_lines(tree, asked["ray_lines"])
+    return asked["ray_lines"].sah(tree)
