@@ -1,4 +1,4 @@
-"""Viewpoints: the rays of cameras, and cameras for scenes that bring none."""
+"""Viewpoints: the rays of cameras, and cameras for scenes without any."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FIELD_OF_VIEW = 65.0
 
 
 def camera_rays(sensor: Any, place: Any, aperture: Any) -> Any:
-    """Rays of a sensor through places of its film.
+    """Rays of a sensor through positions on its film.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def camera_rays(sensor: Any, place: Any, aperture: Any) -> Any:
     Raises
     ------
     MibvhError
-        If it is a sensor that makes no rays.
+        If the sensor makes no rays.
     """
     mi = mitsuba()
     where = mi.Float(0), mi.Float(0.5), place, aperture
@@ -54,8 +54,7 @@ def camera_rays(sensor: Any, place: Any, aperture: Any) -> Any:
 def automatic_viewpoints(triangles: Triangles, geometry: Any) -> list[Any]:
     """Choose viewpoints: in open space for interiors, on an orbit around objects.
 
-    A scene counts as an interior where most points of its box see geometry in nearly every
-    direction.
+    A scene is an interior if most points of its box see geometry in nearly every direction.
 
     Parameters
     ----------
@@ -79,7 +78,7 @@ def automatic_viewpoints(triangles: Triangles, geometry: Any) -> list[Any]:
 
 
 def _probe(triangles: Triangles, geometry: Any) -> tuple[F64, F64, F64]:
-    """Distances from random points of the scene's box in evenly spread directions."""
+    """Distances to geometry from random points of the scene's box, in uniform directions."""
     mi = mitsuba()
     rng = np.random.default_rng(0)
     lower, upper = triangles.bounds.astype(np.float64)
@@ -107,7 +106,7 @@ def _open_places(points: F64, distance: F64) -> list[int]:
 
 
 def _longest_view(point: F64, directions: F64, distance: F64) -> tuple[F64, F64]:
-    """Look near-horizontally to where the cone of view is deepest."""
+    """Look nearly horizontally to where the cone of view is deepest."""
     depth = np.where(np.isfinite(distance), distance, 0.0)
     inside = (directions @ directions.T) > np.cos(np.radians(35))
     score = (inside @ depth) / inside.sum(axis=1)

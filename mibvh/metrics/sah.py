@@ -55,8 +55,8 @@ def sah(
 ) -> float:
     """Expected cost of a long random ray, by the surface area heuristic.
 
-    :func:`mibvh.sah_of_lines` takes the lines that rays lie on, instead of lines of even place
-    and direction.
+    The ray is taken from uniformly distributed lines. :func:`mibvh.sah_of_lines` uses the lines
+    that given rays lie on.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def sah(
     c_inner, c_tri : float, optional
         By default what the tree was built with, or the paper's 1.2 and 1.0.
     **deprecated
-        ``ray_lines``: what the function named above takes.
+        ``ray_lines``: an argument of the function named above.
 
     Returns
     -------
