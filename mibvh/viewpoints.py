@@ -70,8 +70,9 @@ def automatic_viewpoints(triangles: Triangles, geometry: Any) -> list[Any]:
     enclosed = np.isfinite(distance).mean(axis=1) > 0.95
     if enclosed.mean() > 0.6:
         places = _open_places(points[enclosed], distance[enclosed])
-        views = [_longest_view(points[enclosed][i], directions, distance[enclosed][i])
-                 for i in places]  # fmt: skip
+        views = [
+            _longest_view(points[enclosed][i], directions, distance[enclosed][i]) for i in places
+        ]
     else:
         views = _orbit(triangles)
     return [_camera(origin, target, triangles.diagonal) for origin, target in views]
@@ -130,12 +131,14 @@ def _camera(origin: F64, target: F64, diagonal: float) -> Any:
     transform = mi.ScalarTransform4f().look_at(
         origin=origin.tolist(), target=target.tolist(), up=[0, 1, 0]
     )
-    return mi.load_dict({
-        "type": "perspective",
-        "fov": _FIELD_OF_VIEW,
-        "fov_axis": "x",
-        "near_clip": max(1e-5 * diagonal, 1e-30),
-        "far_clip": 100 * max(diagonal, 1e-25),
-        "to_world": transform,
-        "film": {"type": "hdrfilm", "width": 480, "height": 320},
-    })  # fmt: skip
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov": _FIELD_OF_VIEW,
+            "fov_axis": "x",
+            "near_clip": max(1e-5 * diagonal, 1e-30),
+            "far_clip": 100 * max(diagonal, 1e-25),
+            "to_world": transform,
+            "film": {"type": "hdrfilm", "width": 480, "height": 320},
+        }
+    )

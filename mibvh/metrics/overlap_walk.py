@@ -167,9 +167,20 @@ def _below(nodes, junction, positions, begin, end, row, weight, work, sums):
 
 @njit(allocates=False)
 def walk(
-    begin, end, walked, cut_to_leaf, corners, weights, starts, positions, references, nodes,
-    unit, work, sums,
-):  # fmt: skip
+    begin,
+    end,
+    walked,
+    cut_to_leaf,
+    corners,
+    weights,
+    starts,
+    positions,
+    references,
+    nodes,
+    unit,
+    work,
+    sums,
+):
     """Add the foreign areas of the references ``begin`` to ``end`` to ``sums`` (M,) int64.
 
     ``walked`` marks the references that stand for their triangle: the first of each. With

@@ -189,9 +189,15 @@ class Accelerator:
     def _walk(self, o: Any, d: Any, tmax: Any, active: Any, any_hit: bool) -> tuple[Any, Any]:
         scale = self._records.scale
         t, triangle, *_ = walk(
-            self._records, o * scale, d, tmax * scale, active,
-            cull=True, count=False, any_hit=any_hit,
-        )  # fmt: skip
+            self._records,
+            o * scale,
+            d,
+            tmax * scale,
+            active,
+            cull=True,
+            count=False,
+            any_hit=any_hit,
+        )
         return t / scale, triangle
 
     @staticmethod

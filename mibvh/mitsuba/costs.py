@@ -77,8 +77,10 @@ class CostProbe:
             mi.Vector3f(np.ascontiguousarray(d.T)),
             mi.Float(np.broadcast_to(np.array(ray.maxt * scale), n).copy()),
             mi.Bool(np.broadcast_to(np.array(active), n).copy()),
-            cull=self.cull, count=True, any_hit=False,
-        )  # fmt: skip
+            cull=self.cull,
+            count=True,
+            any_hit=False,
+        )
         dr.eval(outputs)
         t, triangle, inner, leaves, tests = (np.array(column) for column in outputs[:5])
         ids = triangle.view(np.int32)

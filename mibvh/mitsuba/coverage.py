@@ -140,6 +140,8 @@ def coverage_figure(channels: dict[str, npt.NDArray[np.float32]], rays: RaySet) 
     bar.set_label("ray ends per area; 1 is uniform over all surfaces", fontsize=8)
     figure.legend(
         handles=[Patch(facecolor=str(_GREY), label="hardly any ray ends here")],
-        loc="outside lower center", frameon=False, fontsize=8,
-    )  # fmt: skip
+        loc="outside lower center",
+        frameon=False,
+        fontsize=8,
+    )
     return figure

@@ -131,8 +131,10 @@ def cost_figure(
     if any(quantity in _OF_HITS for quantity in chosen) and (channels["hit"] == 0).any():
         figure.legend(
             handles=[Patch(facecolor=_NOTHING, label="the rays hit nothing")],
-            loc="outside lower center", frameon=False, fontsize=8,
-        )  # fmt: skip
+            loc="outside lower center",
+            frameon=False,
+            fontsize=8,
+        )
     return figure
 
 

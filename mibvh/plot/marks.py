@@ -14,15 +14,33 @@ from mibvh.triangles import F64
 
 #: Settings of the figures that mibvh makes; colours of text and page are the user's.
 STYLE: Any = {
-    "font.size": 9, "axes.titlesize": 9.5, "axes.spines.top": False, "axes.spines.right": False,
-    "legend.frameon": False, "font.family": "sans-serif", "axes.linewidth": 0.7,
-    "xtick.major.width": 0.7, "ytick.major.width": 0.7, "axes.grid": True,
-    "grid.color": "#88888833", "grid.linewidth": 0.6, "axes.axisbelow": True,
-}  # fmt: skip
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "font.family": "sans-serif",
+    "axes.linewidth": 0.7,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "axes.grid": True,
+    "grid.color": "#88888833",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+}
 #: Colour-blind safe (Okabe and Ito), readable on light and dark backgrounds. Shapes and dashes
 #: distinguish the builders as well.
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8C8C00", "#8A8A8A",
-           "#A65ACD")  # fmt: skip
+COLOURS = (
+    "#0072B2",
+    "#E69F00",
+    "#009E73",
+    "#CC79A7",
+    "#D55E00",
+    "#56B4E9",
+    "#8C8C00",
+    "#8A8A8A",
+    "#A65ACD",
+)
 _SHAPES = "oDs^vPXpd"
 _DASHES = ("solid", (0, (4, 1.2)), (0, (1.2, 1)))
 #: Colour map of quantities on white: darker means more.
@@ -65,9 +83,16 @@ def named_points(
         axis.plot(ends, intercept + slope * ends, color="#888888", lw=1, zorder=1)
     for i in range(len(names)):
         axis.plot(
-            across[i : i + 1], up[i : i + 1], _SHAPES[i % len(_SHAPES)], ms=6.5,
-            color=builder_colour(i), zorder=3, mec="white", mew=0.5, gid=gids[i] if gids else None,
-        )  # fmt: skip
+            across[i : i + 1],
+            up[i : i + 1],
+            _SHAPES[i % len(_SHAPES)],
+            ms=6.5,
+            color=builder_colour(i),
+            zorder=3,
+            mec="white",
+            mew=0.5,
+            gid=gids[i] if gids else None,
+        )
     axis.margins(0.16, 0.1)
     _label_points(axis, names, across, up)
 
@@ -123,7 +148,11 @@ def depth_curves(
     """
     for i, (label, values) in enumerate(curves.items()):
         axis.plot(
-            np.asarray(values), lw=1.5, color=builder_colour(i), ls=_DASHES[i % len(_DASHES)],
-            label=label, gid=gids[i] if gids else None,
-        )  # fmt: skip
+            np.asarray(values),
+            lw=1.5,
+            color=builder_colour(i),
+            ls=_DASHES[i % len(_DASHES)],
+            label=label,
+            gid=gids[i] if gids else None,
+        )
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))

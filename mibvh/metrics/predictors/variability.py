@@ -49,9 +49,9 @@ def _mix(values: Values, weights: Weights) -> F64:
 
 @functools.lru_cache(maxsize=1024)
 def _r_by_beta(sample: Sample) -> F64:
-    return np.array([
-        pearson(_mix(sample.values, _with_beta(sample, b)), sample.measured) for b in _BETAS
-    ])  # fmt: skip
+    return np.array(
+        [pearson(_mix(sample.values, _with_beta(sample, b)), sample.measured) for b in _BETAS]
+    )
 
 
 def _shared(samples: Sequence[Sample], this: int) -> Weights:
