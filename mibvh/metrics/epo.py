@@ -214,7 +214,7 @@ def _estimated(tree: Tree, triangles: Any, exact: dict[str, Any], asked: dict[st
     idle = {name for name, value in exact.items() if value is None or value is False}
     given = sorted((set(exact) - idle) | set(asked))
     if given not in (["samples"], ["samples", "seed"], ["ray_ends"]):
-        raise MibvhError(f"epo() does not take {' and '.join(given)} together")
+        raise MibvhError(f"epo() does not take this combination of arguments: {', '.join(given)}")
     instead = "epo_at_ends" if "ray_ends" in asked else "estimate_epo"
     warnings.warn(
         f"epo({', '.join(f'{name}=' for name in given)}) is now {instead}()",
