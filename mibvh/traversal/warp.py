@@ -186,6 +186,7 @@ def simulate(
     style: str = "persistent",
     *,
     vote: bool | None = None,
+    any_hit: bool | None = None,
     fetch_below: int = FETCH_BELOW,
     order: Order = "stored",
     seed: int = 0,
@@ -207,6 +208,9 @@ def simulate(
         One of :data:`STYLES`.
     vote : bool, optional
         Leave the vote out, or put it in; as the style has it by default.
+    any_hit : bool, optional
+        End each ray at the first hit found instead of the closest; by default as the rays are
+        (:attr:`mibvh.RaySet.occlusion`).
     fetch_below : int
         Of the persistent style: busy lanes of 32 below which those that are done fetch rays;
         in proportion for other widths, rounded up.
@@ -229,10 +233,11 @@ def simulate(
     Raises
     ------
     MibvhError
-        If the tree belongs to another geometry, or an argument is out of range.
+        If the tree or the rays belong to another geometry, or an argument is out of range.
     """
     geometry = as_triangles(triangles)
     tree.check_matches(geometry)
+    rays.check_matches(geometry)
     rules = _rules(style, vote)
     for name, value in (("fetch_below", fetch_below), ("rays_per_lane", rays_per_lane),
                         ("warps", warps)):  # fmt: skip
@@ -245,6 +250,7 @@ def simulate(
     plan = lockstep.Plan(
         width, not rules.rounds, rules.postpone, rules.vote, rules.leaves,
         min(-(-fetch_below * width // 32), width) if rules.fetch else 0,
+        rays.occlusion if any_hit is None else any_hit,
     )  # fmt: skip
     sharing, per_lane = (warps, rays_per_lane) if rules.fetch else (1, 1)
     dealt = ray_order(rays, geometry.bounds, order, seed)
@@ -270,7 +276,7 @@ def _rules(style: str, vote: bool | None) -> WarpStyle:
 
 
 def ray_rounds(tree: Tree, triangles: object, rays: RaySet, threads: int | None = None) -> Rounds:
-    """Cut every ray's traversal into its rounds: a descent, and the leaf at its end.
+    """Cut every ray's way to its closest hit into rounds: a descent, and the leaf at its end.
 
     Parameters
     ----------
@@ -284,10 +290,11 @@ def ray_rounds(tree: Tree, triangles: object, rays: RaySet, threads: int | None 
     Raises
     ------
     MibvhError
-        If the tree belongs to another geometry.
+        If the tree or the rays belong to another geometry.
     """
     geometry = as_triangles(triangles)
     tree.check_matches(geometry)
+    rays.check_matches(geometry)
     scene, work, _ = _prepare(tree, geometry, rays, np.arange(len(rays), dtype=np.int32))
     visits, per_ray = lockstep.new_visits(len(rays)), np.zeros(len(rays), np.uint32)
     workers = threads or thread_count()
