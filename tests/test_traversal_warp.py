@@ -297,6 +297,14 @@ def test_any_number_of_threads_gives_the_same(small, style):
         assert_same(more, one, ("t", "triangle", *COUNTERS, "issued", "rounds"))
 
 
+def test_maxima_are_those_of_packets_as_dealt(small):
+    warps = simulate(*small, 8, "single", order="random")
+    steps = (warps.inner + warps.tests)[warps.dealt].reshape(-1, 8)
+    np.testing.assert_array_equal(warps.maxima(warps.inner + warps.tests), steps.max(axis=1))
+    # In a single loop all wait for the longest.
+    np.testing.assert_array_equal(warps.rounds, steps.max(axis=1))
+
+
 @pytest.mark.parametrize("style", STYLES)
 def test_rays_in_step_with_each_other_keep_all_lanes_busy(small, style):
     tree, triangles, rays = small

@@ -32,6 +32,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -40,13 +41,13 @@ from mibvh.errors import MibvhError
 from mibvh.parallel import run_blocks, thread_count
 from mibvh.rays import RaySet
 from mibvh.traversal import lockstep
-from mibvh.traversal.divergence import Rounds
+from mibvh.traversal.divergence import Rounds, packets
 from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.order import Order, ray_order
 from mibvh.traversal.records import binary_rows, unit_scale
 from mibvh.traversal.visits import Visits
 from mibvh.tree import Tree
-from mibvh.triangles import F32, I32, Triangles, as_triangles
+from mibvh.triangles import F32, F64, I32, Triangles, as_triangles
 
 U32 = npt.NDArray[np.uint32]
 I64 = npt.NDArray[np.int64]
@@ -171,6 +172,21 @@ class Warps:
         """Share of the issued lane-steps, weighted by cost, in which the lane had work."""
         cost = self.cost(c_inner, c_tri)
         return self.counted_cost(c_inner, c_tri) / cost if cost else 1.0
+
+    def maxima(self, counts: npt.NDArray[Any]) -> F64:
+        """Largest of a count in each packet of rays that are dealt side by side.
+
+        Parameters
+        ----------
+        counts : (R,) array
+            Such as ``leaves``, or ``1.2 * inner + tests``.
+
+        Returns
+        -------
+        (R // width,) float64
+            Of full packets. Where lanes fetch rays, these are no longer a warp's rays at one time.
+        """
+        return packets(counts, self.width, self.dealt).max(axis=1)
 
     @property
     def lcv(self) -> float:
