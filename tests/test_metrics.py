@@ -228,9 +228,9 @@ def test_what_epo_does_not_know_or_use_is_refused():
     with pytest.raises(TypeError, match="'lines'"):
         mibvh.sah(tree, lines=3)
     for unused in ({"weights": [1] * 4}, {"fragments": True}, {"threads": 2}, {"ray_ends": None}):
-        with pytest.raises(mibvh.MibvhError, match="combination of arguments: .*, "):
+        with pytest.raises(mibvh.MibvhError, match=r"combination of arguments: .*, "):
             mibvh.epo(tree, triangles, samples=64, **unused)
-    with pytest.raises(mibvh.MibvhError, match="combination of arguments: seed$"):
+    with pytest.raises(mibvh.MibvhError, match=r"combination of arguments: seed$"):
         mibvh.epo(tree, triangles, seed=3)
 
 
