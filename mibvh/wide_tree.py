@@ -96,11 +96,13 @@ class WideTree:
     @functools.cached_property
     def parents(self) -> I32:
         """(M,) int32: each node's parent; -1 for the root."""
+        self.check()
         return _parents(self.child, self.children)
 
     @functools.cached_property
     def depths(self) -> I32:
         """(M,) int32: edges from the root."""
+        self.check()
         return _depths(self.child, self.children)
 
     @property
@@ -120,6 +122,7 @@ class WideTree:
         Between a node of more children and these stand virtual nodes, which cost nothing: a ray
         or a point that is in a child's box is in theirs.
         """
+        self.check()
         arrays = _binary(self.lower, self.upper, self.child, self.children, self.first, self.count)
         return BinaryView(*arrays[:-1], self.references, self.meta, node=arrays[-1], wide=self)
 
@@ -255,13 +258,20 @@ class WideTree:
 
         return faults(self, triangles)
 
+    def check(self) -> None:
+        """Refuse arrays that are no sound tree, as far as can be told without its triangles.
+
+        Raises
+        ------
+        MibvhError
+            With the first fault found.
+        """
+        if self._fault:
+            raise MibvhError(f"the wide tree is not sound: {self._fault[0]}")
+
     @functools.cached_property
-    def _sound(self) -> bool:
-        """Whether the arrays are those of a tree; raises where they are not."""
-        found = self.validate()
-        if found:
-            raise MibvhError(f"the wide tree is not sound: {found[0]}")
-        return True
+    def _fault(self) -> list[str]:
+        return self.validate()
 
     def check_matches(self, triangles: Triangles) -> None:
         """Refuse triangles that this tree was not built for, and a tree that is not sound.
@@ -272,12 +282,14 @@ class WideTree:
             If the recorded digest, or failing one the reference range, does not fit, or with the
             first fault that :meth:`validate` finds without triangles.
         """
+        self.check()
         digest = self.meta.get("digest")
-        if not self._sound or not (
+        fits = (
             int(self.references.max()) < len(triangles)
             if digest is None
             else (digest == triangles.digest)
-        ):
+        )
+        if not fits:
             raise MibvhError(
                 f"the wide tree ({self.meta.get('builder', 'unknown builder')}, "
                 f"{self.meta.get('triangles', '?')} triangles) was built for another geometry "

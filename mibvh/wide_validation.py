@@ -82,8 +82,6 @@ def _first_fault(lower, upper, child, children, first, count, references, width)
         for k in range(3):
             if not lower[n, k] <= upper[n, k]:  # true for NaN
                 return 7, n
-        if count[n] < 1 or first[n] < 0 or first[n] + count[n] > len(references):
-            return 5, n
         if child[n] < 0:
             if children[n] != 0:
                 return 10, n
@@ -104,6 +102,8 @@ def _first_fault(lower, upper, child, children, first, count, references, width)
             if depth[c] >= 0:
                 return 3, c
             depth[c] = depth[n] + 1
+            if count[c] < 1:
+                return 5, c
             for k in range(3):
                 if lower[c, k] < lower[n, k] or upper[c, k] > upper[n, k]:
                     return 8, c
