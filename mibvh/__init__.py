@@ -14,30 +14,20 @@ from mibvh.version import __version__
 if TYPE_CHECKING:
     from mibvh import plot
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
+    from mibvh.collapsing import collapse, unfold
     from mibvh.errors import MibvhError
     from mibvh.metrics.epo import epo, epo_per_depth, epo_per_node
-    from mibvh.metrics.lines import RayLines, ray_lines, sah_of_lines
-    from mibvh.metrics.points import (
-        Estimate,
-        RayEnds,
-        epo_at_ends,
-        estimate_epo,
-        point_costs,
-        ray_ends,
-    )
-    from mibvh.metrics.predictor import (
-        estimate_alpha,
-        finite_ray_cost,
-        fit_alpha,
-        path_length_ratio,
-    )
+    from mibvh.metrics.lines import RayLines, ray_lines
+    from mibvh.metrics.points import Estimate, RayEnds, ray_ends
     from mibvh.metrics.sah import sah, sah_per_node
+    from mibvh.quantise import quantised
     from mibvh.rays import RaySet, diffuse_rays
     from mibvh.scene import Scene, load
     from mibvh.studies import Study, StudyOptions, study
     from mibvh.traversal.trace import Hits, trace
     from mibvh.tree import Tree
     from mibvh.triangles import Triangles, rotation_about
+    from mibvh.wide_tree import WideTree
 
 _PUBLIC = {
     "Context": "mibvh.builders",
@@ -55,30 +45,26 @@ _PUBLIC = {
     "StudyOptions": "mibvh.studies",
     "Tree": "mibvh.tree",
     "Triangles": "mibvh.triangles",
+    "WideTree": "mibvh.wide_tree",
     "build": "mibvh.builders",
     "builder": "mibvh.builders",
+    "collapse": "mibvh.collapsing",
     "diffuse_rays": "mibvh.rays",
     "epo": "mibvh.metrics.epo",
-    "epo_at_ends": "mibvh.metrics.points",
     "epo_per_depth": "mibvh.metrics.epo",
     "epo_per_node": "mibvh.metrics.epo",
-    "estimate_alpha": "mibvh.metrics.predictor",
-    "estimate_epo": "mibvh.metrics.points",
-    "finite_ray_cost": "mibvh.metrics.predictor",
-    "fit_alpha": "mibvh.metrics.predictor",
     "load": "mibvh.scene",
     "option": "mibvh.builders",
-    "path_length_ratio": "mibvh.metrics.predictor",
     "plot": "mibvh",
-    "point_costs": "mibvh.metrics.points",
+    "quantised": "mibvh.quantise",
     "ray_ends": "mibvh.metrics.points",
     "ray_lines": "mibvh.metrics.lines",
     "rotation_about": "mibvh.triangles",
     "sah": "mibvh.metrics.sah",
-    "sah_of_lines": "mibvh.metrics.lines",
     "sah_per_node": "mibvh.metrics.sah",
     "study": "mibvh.studies",
     "trace": "mibvh.traversal.trace",
+    "unfold": "mibvh.collapsing",
 }
 
 __all__ = [
@@ -97,31 +83,27 @@ __all__ = [
     "StudyOptions",
     "Tree",
     "Triangles",
+    "WideTree",
     "__version__",
     "build",
     "builder",
+    "collapse",
     "diffuse_rays",
     "epo",
-    "epo_at_ends",
     "epo_per_depth",
     "epo_per_node",
-    "estimate_alpha",
-    "estimate_epo",
-    "finite_ray_cost",
-    "fit_alpha",
     "load",
     "option",
-    "path_length_ratio",
     "plot",
-    "point_costs",
+    "quantised",
     "ray_ends",
     "ray_lines",
     "rotation_about",
     "sah",
-    "sah_of_lines",
     "sah_per_node",
     "study",
     "trace",
+    "unfold",
 ]
 
 

@@ -123,8 +123,12 @@ class WideTree:
         or a point that is in a child's box is in theirs.
         """
         self.check()
-        arrays = _binary(self.lower, self.upper, self.child, self.children, self.first, self.count)
-        return BinaryView(*arrays[:-1], self.references, self.meta, node=arrays[-1], wide=self)
+        lower, upper, left, first, count, node = _binary(
+            self.lower, self.upper, self.child, self.children, self.first, self.count
+        )
+        return BinaryView(
+            lower, upper, left, first, count, self.references, self.meta, node=node, wide=self
+        )
 
     def stats(self) -> dict[str, Any]:
         """Counts of nodes, leaves and references, children per node, leaf sizes, depth, bytes."""

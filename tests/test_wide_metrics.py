@@ -8,7 +8,7 @@ from conftest import clipped
 from test_lines import some_lines
 
 import mibvh
-from mibvh.collapse import collapse, unfold
+from mibvh.collapsing import collapse, unfold
 from mibvh.metrics.epo import overlap
 from mibvh.metrics.lines import line_costs, ray_lines
 from mibvh.metrics.points import point_costs, points_on, weight_at

@@ -7,7 +7,7 @@ import pytest
 from conftest import soup
 
 import mibvh
-from mibvh.collapse import collapse, unfold
+from mibvh.collapsing import collapse, unfold
 from mibvh.metrics.sah import node_costs
 from mibvh.quantise import finest_step, grid, quantised
 from mibvh.wide_tree import WideTree
@@ -389,3 +389,20 @@ def test_impossible_options(options, match):
     _, tree = tree_of()
     with pytest.raises(mibvh.MibvhError, match=match):
         collapse(tree, **options)
+
+
+def test_wide_trees_are_drawn():
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    scene = mibvh.load("cornell@300")
+    tree = mibvh.build(scene, "sbvh")
+    wide = collapse(tree, 8)
+    figure = mibvh.plot.overview(wide, scene, depth=2)
+    assert f"{len(wide):,} nodes, {wide.depth} levels" in figure.get_suptitle()
+    ax = mibvh.plot.by_depth([tree, wide], "epo", scene)
+    assert [line.get_label().split(":")[0] for line in ax.lines] == ["sbvh", "sbvh, 8 wide"]
+    assert ax.lines[1].get_ydata().sum() == pytest.approx(mibvh.epo(wide, scene))
+    plt.close("all")
