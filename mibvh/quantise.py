@@ -46,7 +46,11 @@ def finest_step(lower, upper):
     largest = 0.0
     for k in range(3):
         largest = max(largest, abs(np.float64(lower[k])), abs(np.float64(upper[k])))
-    return _FINEST + (math.frexp(largest)[1] if largest > 0.0 else 0)
+    if largest == 0.0:
+        return _FINEST
+    # Rounded up to a power of two, which widening the boxes does not change.
+    part, exponent = math.frexp(largest)
+    return _FINEST + (exponent - 1 if part == 0.5 else exponent)
 
 
 @njit

@@ -13,11 +13,13 @@ import numpy.typing as npt
 from mibvh.errors import MibvhError
 from mibvh.files import atomic_path
 from mibvh.rays import RaySet
+from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.records import Layout, Records, make_records, own_memory, unit_scale
 from mibvh.traversal.schedule import Schedule, issued_by_bursts, issued_in_step
 from mibvh.tree import Tree
 from mibvh.triangles import F32, I32, as_triangles
 from mibvh.variant import lane_width, mitsuba
+from mibvh.wide_tree import C_BOX, WideTree
 
 Lanes = Literal["simd", "scalar"]
 Style = Literal["single", "while-while", "postponed", "wide"]
@@ -35,8 +37,8 @@ class Hits:
     triangle : (R,) int32
         Ids of the triangles hit; -1 for a miss.
     inner, leaves, tests : (R,) uint32
-        Inner nodes visited (all child boxes tested), leaves visited, triangles tested. A leaf
-        of the wide layout is one triangle.
+        Inner nodes visited (all child boxes tested), leaves visited, triangles tested. A binary
+        tree's leaves, traced in the wide style, are single triangles.
     steps : (R,) uint32
         Steps the ray's lane was busy for: inner nodes and triangles.
     seconds : (K,) float64
@@ -50,6 +52,8 @@ class Hits:
     style : str
         ``single`` (:mod:`mibvh.traversal.kernel`), ``while-while`` or ``postponed``
         (:mod:`mibvh.traversal.rounds`), or ``wide`` (:mod:`mibvh.traversal.wide`).
+    boxes : (R,) uint32
+        Child boxes tested: two per inner node of a binary tree.
     """
 
     t: F32
@@ -63,6 +67,7 @@ class Hits:
     lane_width: int
     issued: int
     style: str
+    boxes: U32
 
     def __len__(self) -> int:
         return len(self.t)
@@ -71,7 +76,8 @@ class Hits:
     def lcv(self) -> float:
         """Leaf count variability: standard deviation over the rays of the leaves visited.
 
-        Of the wide style, whose leaves are single triangles, it is not the paper's.
+        Of a binary tree in the wide style, whose leaves are then single triangles, it is not the
+        paper's.
         """
         return float(np.std(self.leaves, dtype=np.float64))
 
@@ -85,13 +91,18 @@ class Hits:
         """Share of the issued lane-steps in which the lane had work."""
         return float(self.steps.sum(dtype=np.int64) / self.issued) if self.issued else 1.0
 
-    def counted_cost(self, c_inner: float = 1.2, c_tri: float = 1.0) -> float:
+    def counted_cost(
+        self, c_inner: float = 1.2, c_tri: float = 1.0, c_box: float = C_BOX
+    ) -> float:
         """Mean over the rays of ``c_inner * inner + c_tri * tests``: cost without a stopwatch.
 
-        Of the wide style, this is the cost of a tree with eight children per node: not to be set
-        beside another style's, nor beside SAH and EPO.
+        Each child box of a node beyond its second costs ``c_box`` more, so that this is a wide
+        tree's cost in the units of its SAH and EPO. Of a binary tree in the wide style, it is the
+        cost of the tree that it was collapsed to: not to be set beside its own SAH and EPO.
         """
-        return float(c_inner * self.inner.mean() + c_tri * self.tests.mean())
+        further = float(self.boxes.sum(dtype=np.int64) - 2 * self.inner.sum(dtype=np.int64))
+        cost = float(c_inner * self.inner.mean() + c_tri * self.tests.mean())
+        return cost + c_box * further / len(self)
 
     def counters(self) -> dict[str, Any]:
         """Return what was counted, as JSON-able values.
@@ -104,6 +115,7 @@ class Hits:
         """
         of_tree = {
             "inner_per_ray": float(self.inner.mean()),
+            "boxes_per_ray": float(self.boxes.mean()),
             "leaves_per_ray": float(self.leaves.mean()),
             "triangles_per_ray": float(self.tests.mean()),
             "counted_cost": self.counted_cost(),
@@ -138,7 +150,7 @@ class Hits:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write ``t``, ``triangle`` and the counters to an ``.npz`` file."""
-        names = ("t", "triangle", "inner", "leaves", "tests", "steps", "seconds")
+        names = ("t", "triangle", "inner", "boxes", "leaves", "tests", "steps", "seconds")
         with atomic_path(path) as temporary, temporary.open("wb") as file:
             np.savez(file, **{name: getattr(self, name) for name in names})
 
@@ -185,17 +197,9 @@ class Tracer:
         mitsuba()
         self.lanes, self.style, self.cull, self.any_hit = lanes, style, cull, any_hit
         self.count, self.width = len(rays), lane_width()
-        # Rays that are no numbers hit nothing, and must not upset their neighbours.
-        sound = np.isfinite(rays.o).all(1) & np.isfinite(rays.d).all(1) & ~np.isnan(rays.tmax)
-        o = np.where(sound[:, None], rays.o * np.float32(scale), 0)
-        d = np.where(sound[:, None], rays.d, 0)
-        #: Scene units to the kernel's unit of distance, a power of two: directions are brought
-        #: to a length near 1, so that products neither overflow nor underflow.
-        stretch = np.ldexp(1.0, np.frexp(np.abs(d).max(1))[1].clip(-100, 100))
-        self.unit = stretch * scale
-        d = (d / stretch[:, None]).astype(np.float32)
-        with np.errstate(over="ignore"):
-            tmax = np.where(sound & (d != 0).any(1), rays.tmax * self.unit, -1).astype(np.float32)
+        o, d, tmax, unit = kernel_rays(rays, scale)
+        #: From distances along the rays to the kernel's.
+        self.unit = unit
         if style == "wide":
             self._prepare_wide(o, d, tmax)
         else:
@@ -269,11 +273,12 @@ class Tracer:
         if repeats:
             self.run(records)  # the first launch may compile
         seconds = np.array([self.run(records)[1] for _ in range(repeats)])
-        t, triangle, inner, leaves, tests = (self.fetch(column) for column in outputs)
+        t, triangle, inner, leaves, tests, *boxes = (self.fetch(column) for column in outputs)
         return Hits(
             (t / self.unit).astype(np.float32), triangle.view(np.int32),
             inner, leaves, tests, inner + tests, seconds,
             self.lanes, self.width, self.issued(records, inner, leaves, tests), self.style,
+            boxes[0] if boxes else 2 * inner,
         )  # fmt: skip
 
     def _launch_binary(self, records: Records, count: bool, longest: Any = None) -> tuple[Any, ...]:
@@ -300,14 +305,15 @@ class Tracer:
 
         mi = mitsuba()
         t = dr.empty(mi.Float, self.count)
-        triangle, inner, tests = (dr.empty(mi.UInt32, self.count) for _ in range(3))
+        triangle, *counts = (dr.empty(mi.UInt32, self.count) for _ in range(5))
         walk_wide(
             records, self._rows, self._first, self._end, self._schedule.lanes,
-            dr.opaque(mi.UInt32, self._schedule.burst), t, triangle, (inner, tests),
+            dr.opaque(mi.UInt32, self._schedule.burst), t, triangle, counts,
             count=count, any_hit=self.any_hit,
         )  # fmt: skip
-        dr.eval(t, triangle, inner, tests)
-        return t, triangle, inner, tests, tests
+        dr.eval(t, triangle, counts)
+        inner, boxes, leaves, tests = counts
+        return t, triangle, inner, leaves, tests, boxes
 
     def fetch(self, column: Any) -> npt.NDArray[Any]:
         """One output as a NumPy array with a row per ray."""
@@ -354,12 +360,12 @@ class Tracer:
 
 
 @functools.lru_cache(maxsize=2)
-def _cached_records(tree: Tree, triangles: Any, layout: Layout, variant: str) -> Records:
+def _cached_records(tree: Tree | WideTree, triangles: Any, layout: Layout, variant: str) -> Records:
     return make_records(tree, triangles, layout)
 
 
 def trace(
-    tree: Tree,
+    tree: Tree | WideTree,
     triangles: Any,
     rays: RaySet,
     lanes: Lanes = "simd",
@@ -373,7 +379,8 @@ def trace(
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
+        A wide tree is traced in the wide style.
     triangles : Triangles, Scene or (N, 3, 3) array
         What the tree was built for.
     rays : RaySet
@@ -382,7 +389,8 @@ def trace(
     style : "single", "while-while", "postponed" or "wide"
         The binary tree in one loop, as the study uses it; in rounds of descending and testing
         leaves, without and with a leaf put aside (the speculative kernel of Aila and Laine 2009);
-        or the fastest kernel, on the tree collapsed to eight children per node.
+        or the wide kernel, to which a binary tree is collapsed to eight children per node: the
+        fastest.
     cull : bool
         Re-test popped nodes against the current hit. The paper's kernel does not, the wide
         style cannot.
