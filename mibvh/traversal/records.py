@@ -65,7 +65,7 @@ class Records:
         root: int,
         scale: float,
         layout: Layout,
-        wide: WideTree | None = None,
+        wide: Any = None,
         order: Any = None,
     ) -> None:
         self.rows = rows

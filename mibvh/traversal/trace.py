@@ -91,9 +91,7 @@ class Hits:
         """Share of the issued lane-steps in which the lane had work."""
         return float(self.steps.sum(dtype=np.int64) / self.issued) if self.issued else 1.0
 
-    def counted_cost(
-        self, c_inner: float = 1.2, c_tri: float = 1.0, c_box: float = C_BOX
-    ) -> float:
+    def counted_cost(self, c_inner: float = 1.2, c_tri: float = 1.0, c_box: float = C_BOX) -> float:
         """Mean over the rays of ``c_inner * inner + c_tri * tests``: cost without a stopwatch.
 
         Each child box of a node beyond its second costs ``c_box`` more, so that this is a wide

@@ -7,8 +7,8 @@ sorted, become the group. The next triangle of a leaf is a group of its own. Eve
 rays of its own, a packet's side by side; after every few steps the lanes that are done fetch their
 next one.
 
-Closest-hit rays visit the nearest child first. Any-hit rays do too, or go by the tree's order, where
-it has one.
+Closest-hit rays visit the nearest child first. Any-hit rays do too, or go by the tree's order,
+where it has one.
 
 Distances to the planes of 8-bit boxes are one multiply-add. Their rounding is below ``2**-13`` of a
 grid step plus ``5 * 2**-24`` of the distance; the former is within :data:`_SLACK`, the latter
