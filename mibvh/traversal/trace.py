@@ -13,9 +13,11 @@ import numpy.typing as npt
 from mibvh.errors import MibvhError
 from mibvh.files import atomic_path
 from mibvh.rays import RaySet
+from mibvh.traversal.child_order import ChildOrder, child_priority
 from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.records import Layout, Records, make_records, own_memory, unit_scale
 from mibvh.traversal.schedule import Schedule, issued_by_bursts, issued_in_step
+from mibvh.traversal.wide_rows import as_wide
 from mibvh.tree import Tree
 from mibvh.triangles import F32, I32, as_triangles
 from mibvh.variant import lane_width, mitsuba
@@ -362,6 +364,12 @@ def _cached_records(tree: Tree | WideTree, triangles: Any, layout: Layout, varia
     return make_records(tree, triangles, layout)
 
 
+@functools.lru_cache(maxsize=2)
+def _in_order(tree: Tree | WideTree, triangles: Any, child_order: ChildOrder) -> WideTree:
+    wide = as_wide(tree, triangles)
+    return wide.ordered(child_priority(wide, triangles, child_order))
+
+
 def trace(
     tree: Tree | WideTree,
     triangles: Any,
@@ -371,6 +379,7 @@ def trace(
     style: Style = "single",
     cull: bool = False,
     any_hit: bool = False,
+    child_order: ChildOrder | None = None,
     repeats: int = 5,
 ) -> Hits:
     """Trace a ray set through a tree: hits, exact counters and kernel times.
@@ -394,6 +403,9 @@ def trace(
         style cannot.
     any_hit : bool
         End each ray at the first hit found instead of the closest.
+    child_order : "larger", "blocking" or "worth", optional
+        Of any-hit rays in the wide style: visit a node's children in this order
+        (:func:`mibvh.traversal.child_order.child_priority`) instead of near first.
     repeats : int
         Timed launches, after one that is not counted.
 
@@ -415,6 +427,10 @@ def trace(
             f"the rays (of {rays.meta.get('scene', 'another scene')}) were made for another "
             f"geometry than {triangles.name}"
         )
+    if child_order is not None:
+        if not any_hit or style != "wide":
+            raise MibvhError("a child order is for any-hit rays in the wide style")
+        tree = _in_order(tree, triangles, child_order)
     scale = float(unit_scale(triangles))
     tracer = Tracer(rays, scale, lanes, style=style, cull=cull, any_hit=any_hit)
     records = _cached_records(tree, triangles, tracer.layout, mitsuba().variant())
