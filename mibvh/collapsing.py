@@ -17,7 +17,7 @@ import numpy.typing as npt
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
 from mibvh.tree import Tree
-from mibvh.triangles import F64, as_triangles
+from mibvh.triangles import F64, I32, as_triangles
 from mibvh.wide_tree import C_BOX, WIDTHS, WideTree
 
 Method = Literal["optimal", "greedy"]
@@ -242,6 +242,40 @@ def _number(left, kind):
             nodes[end], place[members[m]] = members[m], end
             end += 1
     return nodes, child, children
+
+
+def binary_nodes(wide: WideTree, tree: Tree) -> I32:
+    """Which node of a binary tree each node of a wide one is, that was collapsed from it.
+
+    What is known of the binary tree's nodes, such as their overlap, need not be computed again.
+
+    Parameters
+    ----------
+    wide : WideTree
+        From :func:`collapse`.
+    tree : Tree
+
+    Returns
+    -------
+    (M,) int32
+
+    Raises
+    ------
+    MibvhError
+        If some node is none of the binary tree's, or has another box.
+    """
+    # Ranges of references name nodes: a child's is shorter than its parent's.
+    size = len(tree.references) + 1
+    keys, wanted = (t.first.astype(np.int64) * size + t.count for t in (tree, wide))
+    order = np.argsort(keys)
+    place = np.minimum(np.searchsorted(keys, wanted, sorter=order), len(tree) - 1)
+    nodes = order[place].astype(np.int32)
+    if (keys[nodes] != wanted).any() or not (
+        np.array_equal(tree.lower[nodes], wide.lower)
+        and np.array_equal(tree.upper[nodes], wide.upper)
+    ):
+        raise MibvhError("the wide tree was not collapsed from this tree, or its boxes are wider")
+    return nodes
 
 
 def unfold(tree: Tree, triangles: Any) -> Tree:

@@ -8,10 +8,16 @@ from conftest import clipped
 from test_lines import some_lines
 
 import mibvh
-from mibvh.collapsing import collapse, unfold
+from mibvh.collapsing import binary_nodes, collapse, unfold
 from mibvh.metrics.epo import overlap
-from mibvh.metrics.lines import line_costs, ray_lines
-from mibvh.metrics.points import point_costs, points_on, weight_at
+from mibvh.metrics.lines import line_costs, ray_lines, sah_of_lines
+from mibvh.metrics.points import (
+    epo_at_ends,
+    estimate_epo,
+    point_costs,
+    points_on,
+    weight_at,
+)
 from mibvh.metrics.predictor import finite_ray_cost, path_length_ratio
 from mibvh.metrics.sah import node_costs
 from mibvh.quantise import quantised
@@ -86,9 +92,9 @@ def test_width_two_gives_the_binary_figures_to_the_last_digit(room, traced, buil
     np.testing.assert_array_equal(
         mibvh.epo_per_depth(wide, triangles), mibvh.epo_per_depth(tree, triangles)
     )
-    assert mibvh.epo(wide, triangles, samples=500) == mibvh.epo(tree, triangles, samples=500)
+    assert estimate_epo(wide, triangles, 500) == estimate_epo(tree, triangles, 500)
     starts, ends = mibvh.ray_ends(triangles, rays, hits)
-    assert mibvh.epo(wide, triangles, ray_ends=ends) == mibvh.epo(tree, triangles, ray_ends=ends)
+    assert epo_at_ends(wide, triangles, ends) == epo_at_ends(tree, triangles, ends)
     queries = [point_costs(t, triangles, starts.points, starts.triangle) for t in (wide, tree)]
     np.testing.assert_array_equal(*queries)
     ratio = path_length_ratio(triangles, rays, hits)
@@ -98,7 +104,7 @@ def test_width_two_gives_the_binary_figures_to_the_last_digit(room, traced, buil
     ]
     assert finite[0] == finite[1]
     lines = ray_lines(triangles, rays, hits)
-    assert mibvh.sah(wide, ray_lines=lines) == mibvh.sah(tree, ray_lines=lines)
+    assert sah_of_lines(wide, lines) == sah_of_lines(tree, lines)
     for whole in (True, False):
         np.testing.assert_array_equal(
             line_costs(wide, lines, whole=whole), line_costs(tree, lines, whole=whole)
@@ -146,10 +152,13 @@ def test_a_collapsed_tree_is_a_part_of_the_binary_one(room, builder, width):
     triangles, trees = room
     tree = unfold(trees[builder], triangles)
     wide = collapse(tree, width)
-    binary = overlap(tree, triangles).fraction
-    at = {(f, c): x for f, c, x in zip(tree.first, tree.count, binary, strict=True)}
-    expected = [at[key] for key in zip(wide.first, wide.count, strict=True)]
+    nodes = binary_nodes(wide, tree)
+    for name in ("lower", "upper", "first", "count"):
+        np.testing.assert_array_equal(getattr(tree, name)[nodes], getattr(wide, name))
+    expected = overlap(tree, triangles).fraction[nodes]
     np.testing.assert_allclose(overlap(wide, triangles).fraction, expected, rtol=1e-9, atol=1e-12)
+    with pytest.raises(mibvh.MibvhError, match="not collapsed from this tree"):
+        binary_nodes(wide, mibvh.build(triangles, "hill"))
 
 
 @pytest.mark.parametrize("builder", BUILDERS)
@@ -175,9 +184,9 @@ def test_point_queries_against_brute_force(room, builder, width, small):
         weight_at(wide, points, costs), expected.sum(axis=1), rtol=1e-12, atol=1e-12
     )
     ends = mibvh.RayEnds(points, ids, 200)
-    found = mibvh.epo(wide, triangles, ray_ends=ends)
+    found = epo_at_ends(wide, triangles, ends)
     assert found.value == pytest.approx(expected[:, 0].mean(), rel=1e-12)
-    sampled = mibvh.epo(wide, triangles, samples=20_000, seed=5)
+    sampled = estimate_epo(wide, triangles, 20_000, seed=5)
     assert abs(sampled.value - mibvh.epo(wide, triangles)) < 4 * sampled.standard_error
 
 
@@ -203,7 +212,7 @@ def test_lines_against_brute_force(room, builder, width):
             expected[i] = costs @ (near <= far)
         assert np.ptp(expected) > 10
         np.testing.assert_allclose(line_costs(wide, lines, whole=whole), expected, rtol=1e-12)
-    pierced = mibvh.sah(wide, ray_lines=lines)
+    pierced = sah_of_lines(wide, lines)
     share, whole_costs = lines.share, line_costs(wide, lines)
     assert pierced.value == pytest.approx(share @ whole_costs / share.sum(), rel=1e-12)
 
