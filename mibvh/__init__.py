@@ -17,8 +17,21 @@ if TYPE_CHECKING:
     from mibvh.collapsing import collapse, unfold
     from mibvh.errors import MibvhError
     from mibvh.metrics.epo import epo, epo_per_depth, epo_per_node
-    from mibvh.metrics.lines import RayLines, ray_lines
-    from mibvh.metrics.points import Estimate, RayEnds, ray_ends
+    from mibvh.metrics.lines import RayLines, ray_lines, sah_of_lines
+    from mibvh.metrics.points import (
+        Estimate,
+        RayEnds,
+        epo_at_ends,
+        estimate_epo,
+        point_costs,
+        ray_ends,
+    )
+    from mibvh.metrics.predictor import (
+        estimate_alpha,
+        finite_ray_cost,
+        fit_alpha,
+        path_length_ratio,
+    )
     from mibvh.metrics.sah import sah, sah_per_node
     from mibvh.quantise import quantised
     from mibvh.rays import RaySet, diffuse_rays
@@ -51,16 +64,24 @@ _PUBLIC = {
     "collapse": "mibvh.collapsing",
     "diffuse_rays": "mibvh.rays",
     "epo": "mibvh.metrics.epo",
+    "epo_at_ends": "mibvh.metrics.points",
     "epo_per_depth": "mibvh.metrics.epo",
     "epo_per_node": "mibvh.metrics.epo",
+    "estimate_alpha": "mibvh.metrics.predictor",
+    "estimate_epo": "mibvh.metrics.points",
+    "finite_ray_cost": "mibvh.metrics.predictor",
+    "fit_alpha": "mibvh.metrics.predictor",
     "load": "mibvh.scene",
     "option": "mibvh.builders",
+    "path_length_ratio": "mibvh.metrics.predictor",
     "plot": "mibvh",
+    "point_costs": "mibvh.metrics.points",
     "quantised": "mibvh.quantise",
     "ray_ends": "mibvh.metrics.points",
     "ray_lines": "mibvh.metrics.lines",
     "rotation_about": "mibvh.triangles",
     "sah": "mibvh.metrics.sah",
+    "sah_of_lines": "mibvh.metrics.lines",
     "sah_per_node": "mibvh.metrics.sah",
     "study": "mibvh.studies",
     "trace": "mibvh.traversal.trace",
@@ -90,16 +111,24 @@ __all__ = [
     "collapse",
     "diffuse_rays",
     "epo",
+    "epo_at_ends",
     "epo_per_depth",
     "epo_per_node",
+    "estimate_alpha",
+    "estimate_epo",
+    "finite_ray_cost",
+    "fit_alpha",
     "load",
     "option",
+    "path_length_ratio",
     "plot",
+    "point_costs",
     "quantised",
     "ray_ends",
     "ray_lines",
     "rotation_about",
     "sah",
+    "sah_of_lines",
     "sah_per_node",
     "study",
     "trace",
