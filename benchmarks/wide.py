@@ -39,6 +39,7 @@ from mibvh.metrics.sah import node_costs
 from mibvh.quantise import quantised
 from mibvh.traversal.child_order import ChildOrder, child_priority
 from mibvh.traversal.wide_rows import as_wide
+from mibvh.traversal.wide_walk import node_visits
 
 Kept = TypeVar("Kept")
 WIDTHS = (2, 4, 8)
@@ -74,6 +75,9 @@ class SceneFigures:
         Counted cost of the issue's trial.
     choices : dict
         Cost of other ways to collapse to eight children, over that of the first way.
+    by_visits : dict
+        Cost of eight children chosen by the visits of half of the rays, over that of those chosen
+        by area, for the other half.
     any_hit : dict
         Cost of any-hit rays in other orders of children, over near first.
     """
@@ -86,6 +90,7 @@ class SceneFigures:
     trial: dict[str, float]
     choices: dict[str, dict[str, float]]
     any_hit: dict[str, dict[str, float]]
+    by_visits: dict[str, dict[str, float]]
 
     def column(self, width: int, quantity: str) -> np.ndarray:
         """(K,) float64: a quantity of all trees."""
@@ -122,7 +127,7 @@ def measure(source: str, folder: Path | None, ray_file: str) -> SceneFigures:
     rays = _kept(kept, ray_file, mibvh.RaySet.load) or mibvh.diffuse_rays(
         scene, width=160, height=120, samples=1
     )
-    result = SceneFigures(name, len(scene.triangles), len(rays), 0.0, {}, {}, {}, {})
+    result = SceneFigures(name, len(scene.triangles), len(rays), 0.0, {}, {}, {}, {}, {})
     for builder in names():
         tree = _kept(kept, builder, mibvh.Tree.load) or mibvh.build(scene, builder)
         _measure_tree(result, builder, tree, scene.triangles, rays)
@@ -179,6 +184,29 @@ def _measure_tree(
         name: traced(choice, rays).counted_cost() / base for name, choice in choices.items()
     }
     _measure_orders(result, builder, wide, triangles, rays)
+    result.by_visits[builder] = by_visits(tree, wide, triangles, rays)
+
+
+def by_visits(
+    tree: mibvh.Tree, wide: mibvh.WideTree, triangles: mibvh.Triangles, rays: mibvh.RaySet
+) -> dict[str, float]:
+    """Collapse by the visits of every other ray, then of every other camera's."""
+    found = {}
+    for name, half in (
+        ("rays", np.arange(len(rays)) % 2 == 0),
+        ("cameras", rays.viewpoint % 2 == 0),
+    ):
+        if half.all():
+            continue  # of one camera there are no others
+        weights = node_visits(tree, triangles, rays.select(half))
+        # Where no ray came by, areas decide.
+        weights += 1e-3 * tree.half_areas / max(tree.half_areas[0], 1e-300)
+        chosen, first = (
+            mibvh.trace(t, triangles, rays.select(~half), style="wide", repeats=1)
+            for t in (collapse(tree, 8, weights=weights), wide)
+        )
+        found[name] = chosen.counted_cost() / first.counted_cost()
+    return found
 
 
 def _measure_orders(
@@ -216,6 +244,7 @@ def tables(scenes: Sequence[SceneFigures]) -> Iterable[str]:
     yield from _builders(scenes)
     yield from _before_and_after(scenes)
     yield from _choices(scenes)
+    yield from _visits(scenes)
     yield from _orders(scenes)
 
 
@@ -357,6 +386,27 @@ def _choices(scenes: Sequence[SceneFigures]) -> Iterable[str]:
         "Eight children: counted cost over that of the cheapest SAH (all trees of all scenes)",
         ["collapse", "geometric mean", "least", "most"],
         rows,
+    )
+
+
+def _visits(scenes: Sequence[SceneFigures]) -> Iterable[str]:
+    """Collapsed by how often rays come by."""
+    rows, values = [], []
+    for scene in scenes:
+        each = scene.by_visits.values()
+        cells = []
+        for kind in ("rays", "cameras"):
+            over = [tree.get(kind, np.nan) for tree in each]
+            cells += [_geometric(over), min(over), max(over)]
+        values.append(cells)
+        rows.append([scene.name, *(f"{x:.3f}" for x in cells)])
+    heads = ["scene", "other rays", "least", "most", "other cameras", "least", "most"]
+    last = ["mean", *(f"{x:.3f}" for x in np.nanmean(values, axis=0))]
+    yield from _table(
+        "Eight children chosen by the visits of half of the rays: counted cost for the other half "
+        "over that of the cheapest SAH (geometric mean, least and most over the trees)",
+        heads,
+        [*rows, last],
     )
 
 

@@ -7,7 +7,7 @@ import mibvh
 from mibvh.traversal.records import ROW, make_records, unit_scale
 from mibvh.traversal.schedule import Schedule, issued_by_bursts
 from mibvh.traversal.wide_rows import LARGEST, SPAN, as_wide, wide_rows
-from mibvh.traversal.wide_walk import walk_wide_tree
+from mibvh.traversal.wide_walk import node_visits, walk_wide_tree
 
 
 def rows_of(wide, triangles):
@@ -186,6 +186,30 @@ def test_any_hit_rays_in_every_order(room, width, small, order):
     missed = ~np.isfinite(hits.t)
     np.testing.assert_array_equal(plain.inner[missed], walk.inner[missed])
     assert (plain.inner != walk.inner).any() == (order is not None)
+
+
+def test_collapsing_by_visits_is_cheaper_for_such_rays(room):
+    scene, rays, trees = room
+    seen, unseen = (rays.select(slice(first, None, 2)) for first in (0, 1))
+    tree = trees["lbvh"]
+    visits = node_visits(tree, scene, seen)
+    binary = mibvh.trace(tree, scene, seen, repeats=1)
+    assert visits[~tree.is_leaf].sum() == pytest.approx(binary.inner.mean(), rel=1e-12)
+    assert visits[tree.is_leaf].sum() == pytest.approx(binary.leaves.mean(), rel=1e-12)
+    tests = (visits * tree.count)[tree.is_leaf].sum()
+    assert tests == pytest.approx(binary.tests.mean(), rel=1e-12)
+    assert visits[0] == 1
+    assert visits.max() == 1
+    costs = [
+        mibvh.trace(mibvh.collapse(tree, 8, weights=weights), scene, unseen, style="wide",
+                    repeats=1).counted_cost()
+        for weights in (None, visits)
+    ]  # fmt: skip
+    assert costs[1] < costs[0]
+    wide = mibvh.collapse(tree, 8)
+    hits = mibvh.trace(wide, scene, seen, style="wide", repeats=1)
+    inner = node_visits(wide, scene, seen)[~wide.is_leaf]
+    assert inner.sum() == pytest.approx(hits.inner.mean(), rel=1e-12)
 
 
 def test_counted_cost_of_wide_nodes_by_hand(room):

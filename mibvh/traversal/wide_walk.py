@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 
 from mibvh._jit import njit
+from mibvh.collapsing import collapse
 from mibvh.quantise import finest_step, grid
 from mibvh.rays import RaySet
 from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.records import unit_scale
 from mibvh.traversal.trace import U32
 from mibvh.traversal.wide_rows import ENTRY, NETWORKS
-from mibvh.tree import MAX_DEPTH
-from mibvh.triangles import F32, I32, as_triangles
+from mibvh.tree import MAX_DEPTH, Tree
+from mibvh.triangles import F32, F64, I32, as_triangles
 from mibvh.wide_tree import WideTree
 
 _TINY = np.float32(2.0**-80)
@@ -102,6 +103,33 @@ def walk_wide_tree(
         t = (t / unit).astype(np.float32)
     inner, boxes, leaves, tests = (np.ascontiguousarray(column) for column in counts.T)
     return Walk(t, hit, inner, boxes, leaves, tests, starts, told)
+
+
+def node_visits(tree: Tree | WideTree, triangles: Any, rays: RaySet) -> F64:
+    """Visits of each node by rays that are traced through a tree, per ray.
+
+    What :func:`mibvh.collapse` takes for weights, so that the tree it makes is cheap for such rays.
+
+    Parameters
+    ----------
+    tree : Tree or WideTree
+    triangles : Triangles or (N, 3, 3) array
+        What it was built for.
+    rays : RaySet
+        Closest hits are found, nearest child first.
+
+    Returns
+    -------
+    (M,) float64
+        From 0 to 1.
+    """
+    wide = tree if isinstance(tree, WideTree) else collapse(tree, 2)  # which keeps its nodes
+    walk = walk_wide_tree(wide, triangles, rays, steps=True)
+    leaf_at = np.full(len(wide.references), -1, np.int32)  # a leaf, where its first triangle is
+    leaves = np.flatnonzero(wide.is_leaf)
+    leaf_at[wide.first[leaves]] = leaves
+    visited = np.where(walk.steps >= 0, walk.steps, leaf_at[np.maximum(~walk.steps, 0)])
+    return np.bincount(visited[visited >= 0], minlength=len(wide)) / len(rays)
 
 
 @njit
