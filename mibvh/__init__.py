@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
     from mibvh.collapsing import collapse, unfold
     from mibvh.errors import MibvhError
+    from mibvh.layouts import read_tree, write_tree
     from mibvh.metrics.epo import epo, epo_per_depth, epo_per_node
     from mibvh.metrics.lines import RayLines, ray_lines, sah_of_lines
     from mibvh.metrics.points import (
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     )
     from mibvh.metrics.sah import sah, sah_per_node
     from mibvh.quantise import quantised
-    from mibvh.rays import RaySet, diffuse_rays
+    from mibvh.rays import Mixture, RaySet, diffuse_rays, make_rays, read_rays
     from mibvh.scene import Scene, load
     from mibvh.studies import Study, StudyOptions, study
     from mibvh.traversal.trace import Hits, trace
@@ -48,6 +49,7 @@ _PUBLIC = {
     "Estimate": "mibvh.metrics.points",
     "Hits": "mibvh.traversal.trace",
     "MibvhError": "mibvh.errors",
+    "Mixture": "mibvh.rays",
     "Options": "mibvh.builders",
     "RayEnds": "mibvh.metrics.points",
     "RayLines": "mibvh.metrics.lines",
@@ -72,6 +74,7 @@ _PUBLIC = {
     "finite_ray_cost": "mibvh.metrics.predictor",
     "fit_alpha": "mibvh.metrics.predictor",
     "load": "mibvh.scene",
+    "make_rays": "mibvh.rays",
     "option": "mibvh.builders",
     "path_length_ratio": "mibvh.metrics.predictor",
     "plot": "mibvh",
@@ -79,6 +82,8 @@ _PUBLIC = {
     "quantised": "mibvh.quantise",
     "ray_ends": "mibvh.metrics.points",
     "ray_lines": "mibvh.metrics.lines",
+    "read_tree": "mibvh.layouts",
+    "read_rays": "mibvh.rays",
     "rotation_about": "mibvh.triangles",
     "sah": "mibvh.metrics.sah",
     "sah_of_lines": "mibvh.metrics.lines",
@@ -86,6 +91,7 @@ _PUBLIC = {
     "study": "mibvh.studies",
     "trace": "mibvh.traversal.trace",
     "unfold": "mibvh.collapsing",
+    "write_tree": "mibvh.layouts",
 }
 
 __all__ = [
@@ -94,6 +100,7 @@ __all__ = [
     "Estimate",
     "Hits",
     "MibvhError",
+    "Mixture",
     "Options",
     "RayEnds",
     "RayLines",
@@ -119,6 +126,7 @@ __all__ = [
     "finite_ray_cost",
     "fit_alpha",
     "load",
+    "make_rays",
     "option",
     "path_length_ratio",
     "plot",
@@ -126,6 +134,8 @@ __all__ = [
     "quantised",
     "ray_ends",
     "ray_lines",
+    "read_rays",
+    "read_tree",
     "rotation_about",
     "sah",
     "sah_of_lines",
@@ -133,6 +143,7 @@ __all__ = [
     "study",
     "trace",
     "unfold",
+    "write_tree",
 ]
 
 

@@ -35,6 +35,10 @@ SceneArgument = Annotated[
 ]
 TreeArgument = Annotated[Path, typer.Argument(metavar="TREE.npz")]
 RaysArgument = Annotated[Path, typer.Argument(metavar="RAYS.npz")]
+LayoutOption = Annotated[
+    str | None,
+    typer.Option(help="mibvh, tinybvh, madmann91 or npz; by default npz by its ending, else mibvh"),
+]
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
 
 
@@ -181,6 +185,56 @@ def metrics(scene: SceneArgument, tree: TreeArgument, as_json: Json = False) -> 
     _print({"builder": builder, "sah": sah(loaded), "epo": overlap, **loaded.stats()}, as_json)
 
 
+@app.command("import")
+def import_command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="a tree of another program")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="the tree file to write")],
+    layout: LayoutOption = None,
+    scene: Annotated[
+        str | None, typer.Option(help="what it is of: the tree is checked against its triangles")
+    ] = None,
+    name: Annotated[str, typer.Option(help="what to call it; by default as the file")] = "",
+    as_json: Json = False,
+) -> None:
+    """Take a tree of another program: no box, leaf or reference is changed."""
+    from mibvh import read_tree, sah
+
+    tree = read_tree(file, layout, name)
+    if scene is not None:
+        triangles = _load(scene).triangles
+        tree.check_matches(triangles)
+        tree = tree.replace(meta={**tree.meta, "digest": triangles.digest})
+    tree.save(output)
+    _print({"builder": tree.meta.get("builder"), "sah": sah(tree), **tree.stats()}, as_json)
+
+
+@app.command("export")
+def export_command(
+    tree: TreeArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="the file to write")],
+    layout: LayoutOption = None,
+) -> None:
+    """Write a tree for another program."""
+    from mibvh import Tree, write_tree
+
+    write_tree(Tree.load(tree), output, layout)
+
+
+@app.command("triangles")
+def triangles_command(
+    scene: SceneArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="the file to write")],
+    as_json: Json = False,
+) -> None:
+    """Write a scene's triangles for another program: nine little-endian float32 each, by id."""
+    from mibvh.files import atomic_path
+
+    triangles = _load(scene).triangles
+    with atomic_path(output) as path:
+        path.write_bytes(triangles.corners.astype("<f4").tobytes())
+    _print({"triangles": len(triangles), "digest": triangles.digest}, as_json)
+
+
 @app.command()
 def rays(
     scene: SceneArgument,
@@ -216,7 +270,7 @@ def trace(
     lanes: Annotated[str, typer.Option(help="simd or scalar")] = "simd",
     style: Annotated[
         str,
-        typer.Option(help="single (as the study), while-while, postponed, or wide: the fastest"),
+        typer.Option(help="single (as the study), while-while, speculative, or wide: the fastest"),
     ] = "single",
     cull: Annotated[bool, typer.Option(help="re-test popped nodes against the hit")] = False,
     any_hit: Annotated[bool, typer.Option(help="end at the first hit found")] = False,
@@ -231,7 +285,7 @@ def trace(
     triangles = _load(scene).triangles
     hits = run(
         Tree.load(tree), triangles, RaySet.load(rays), lanes,  # type: ignore[arg-type]
-        style=style, cull=cull, any_hit=any_hit, repeats=repeats,  # type: ignore[arg-type]
+        style=style, cull=cull, any_hit=any_hit, repeats=repeats,
     )  # fmt: skip
     if output:
         hits.save(output)

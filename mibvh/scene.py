@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import os
 import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +30,12 @@ class Scene:
     sensors : list of mitsuba.Sensor
         The scene file's cameras, or automatic ones where it has none.
     original : mitsuba.Scene or None
-        The scene as Mitsuba loads it, for rendering; None for a bare mesh.
+        The scene as Mitsuba loads it; None for a bare mesh, and where instances are flattened:
+        see :attr:`renderable`.
     notes : list of str
         What could not be taken over as triangles, in sentences.
+    reload : callable, optional
+        Loads ``original`` where that is not kept.
     """
 
     name: str
@@ -38,11 +43,21 @@ class Scene:
     sensors: list[Any]
     original: Any = None
     notes: list[str] = dataclasses.field(default_factory=list)
+    reload: Callable[[], Any] | None = None
+
+    def __repr__(self) -> str:
+        cameras = f"{len(self.sensors)} viewpoint{'' if len(self.sensors) == 1 else 's'}"
+        return f"Scene({self.name!r}, {len(self.triangles):,} triangles, {cameras})"
 
     @functools.cached_property
     def geometry(self) -> Any:
         """A Mitsuba scene of exactly these triangles: ``prim_index`` is the triangle id."""
         return mitsuba_geometry(self.triangles)
+
+    @functools.cached_property
+    def renderable(self) -> Any:
+        """The scene as Mitsuba renders it, instances included; None for a bare mesh."""
+        return self.reload() if self.reload else self.original
 
 
 def mitsuba_geometry(triangles: Triangles) -> Any:
@@ -92,7 +107,12 @@ def load(source: Any) -> Scene:
         return _from_parser("dict", lambda mi, config: mi.parser.parse_dict(config, source))
     mi = mitsuba()
     if isinstance(source, mi.Scene):
-        return _from_shapes("scene", source, source.shapes(), {})
+        from mibvh.instances import members_named
+
+        with members_named(source) as (shapes, instances):
+            found = _from_shapes("scene", source, shapes, instances)
+        found.original = source
+        return found
     path = Path(source)
     if not path.exists():
         from mibvh.bundled import bundled_scene
@@ -125,25 +145,46 @@ def _from_parser(
     name: str, parse: Any, where: str | None = None, folder: Path | None = None
 ) -> Scene:
     """Parse, flatten instances, instantiate; Mitsuba's own error message on failure."""
-    mi = mitsuba()
     where = where or name
+    with _parsing(where, folder) as mi:
+        scene, instances = _instantiated(mi, parse, where, flat=True)
+        found = _from_shapes(name, scene, scene.shapes(), instances, where)
+
+    def reload() -> Any:
+        with _parsing(where, folder) as mi:
+            return _instantiated(mi, parse, where, flat=False)[0]
+
+    return dataclasses.replace(found, reload=reload) if instances else found
+
+
+def _instantiated(mi: Any, parse: Any, where: str, flat: bool) -> tuple[Any, dict[str, Any]]:
+    """A scene of Mitsuba's, and where the members of its groups stand if it is made flat."""
+    config = mi.parser.ParserConfig(mi.variant())
+    config.merge_meshes = False
+    state = parse(mi, config)
+    if any(node.props.plugin_name().startswith("bvh_") for node in state.nodes):
+        from mibvh.registration import register
+
+        register()
+    mi.parser.transform_all(config, state)
+    instances = _expand_instances(mi, state) if flat else {}
+    scene = mi.parser.instantiate(config, state)
+    scene = scene[0] if isinstance(scene, list) else scene
+    if not isinstance(scene, mi.Scene):
+        raise MibvhError(f"{where}: describes no scene")
+    return scene, instances
+
+
+@contextlib.contextmanager
+def _parsing(where: str, folder: Path | None) -> Iterator[Any]:
+    """Look for files in the folder for a while; Mitsuba's errors in one sentence."""
+    mi = mitsuba()
     resolver = mi.file_resolver()
     saved = mi.FileResolver(resolver)
     try:
         if folder is not None:
             resolver.append(str(folder.resolve()))
-        config = mi.parser.ParserConfig(mi.variant())
-        config.merge_meshes = False
-        state = parse(mi, config)
-        if any(node.props.plugin_name().startswith("bvh_") for node in state.nodes):
-            import mibvh.mitsuba  # noqa: F401 - registers the integrators that the scene names
-        mi.parser.transform_all(config, state)
-        instances = _expand_instances(mi, state)
-        scene = mi.parser.instantiate(config, state)
-        scene = scene[0] if isinstance(scene, list) else scene
-        if not isinstance(scene, mi.Scene):
-            raise MibvhError(f"{where}: describes no scene")
-        return _from_shapes(name, scene, scene.shapes(), instances, where)
+        yield mi
     except RuntimeError as error:
         raise MibvhError(f"{where}: Mitsuba cannot load it ({mitsuba_reason(error)})") from None
     finally:
@@ -175,6 +216,8 @@ def _expand_instances(mi: Any, state: Any) -> dict[str, list[np.ndarray]]:
         For each such name, where its instances stand.
     """
     root = state.nodes[0].props
+    from mibvh.instances import member_name
+
     placed: dict[str, list[np.ndarray]] = {}
     for key in list(root.keys()):
         node = _referenced(state, root, key)
@@ -185,7 +228,7 @@ def _expand_instances(mi: Any, state: Any) -> dict[str, list[np.ndarray]]:
             matrix = np.array(node["to_world"].matrix, dtype=np.float64)
         group = next(
             (
-                (node[k].index(), member)
+                member
                 for k in node.keys()  # noqa: SIM118
                 if (member := _referenced(state, node, k)) is not None
                 and member.plugin_name() == "shapegroup"
@@ -195,16 +238,17 @@ def _expand_instances(mi: Any, state: Any) -> dict[str, list[np.ndarray]]:
         del root[key]
         if group is None:
             continue
-        index, members = group
-        for k in members.keys():  # noqa: SIM118
-            shape = _referenced(state, members, k)
+        place = 0
+        for k in group.keys():  # noqa: SIM118
+            shape = _referenced(state, group, k)
             if shape is None:
                 continue
-            name = f"__instanced_{index}_{k}"
+            name = member_name(group.id(), place)
+            place += 1
             if name not in placed:
                 placed[name] = []
                 shape.set_id(name)
-                root[name] = members[k]
+                root[name] = group[k]
             placed[name].append(matrix)
     return placed
 

@@ -63,6 +63,9 @@ class Triangles:
     def __len__(self) -> int:
         return len(self.corners)
 
+    def __repr__(self) -> str:
+        return f"Triangles({self.name!r}, {len(self):,} triangles)"
+
     @functools.cached_property
     def lower(self) -> F32:
         """(N, 3) float32: lower corners of the triangles' boxes."""

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
 from mibvh.files import read_arrays, write_arrays
-from mibvh.tree import Tree
+from mibvh.tree import Tree, _read_only
 from mibvh.triangles import F32, F64, I32, Triangles
 
 #: Children that a node has at most, by the kind of tree.
@@ -44,7 +44,8 @@ class WideTree:
         The node's range in ``references``. Those of a node's children make up its own, in any
         order.
     references : (R,) int32
-        Triangle ids in leaf order; more than once where a triangle is split.
+        Triangle ids in leaf order; more than once where a triangle is split. All arrays are
+        read-only; ones that can be written to are copied.
     width : int
         Children that a node may have: 2, 4 or 8.
     quantised : bool
@@ -65,9 +66,18 @@ class WideTree:
     quantised: bool = False
     meta: dict[str, Any] = dataclasses.field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name in _ARRAYS:
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+
     def __len__(self) -> int:
         """Return the number of nodes."""
         return len(self.child)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Through the constructor: copied arrays can be written to, and are not checked.
+        arrays = (getattr(self, name) for name in _ARRAYS)
+        return WideTree, (*arrays, self.width, self.quantised, self.meta)
 
     def __repr__(self) -> str:
         boxes = "8-bit boxes" if self.quantised else "float32 boxes"
@@ -87,9 +97,15 @@ class WideTree:
         """(M,) bool."""
         return self.child < 0
 
+    @property
+    def left(self) -> I32:
+        """(M,) int32: the first child, as binary trees call it."""
+        return self.child
+
     @functools.cached_property
     def half_areas(self) -> F64:
         """(M,) float64: half the surface area of each node's box."""
+        self.check()
         x, y, z = (self.upper.astype(np.float64) - self.lower).T
         return x * y + y * z + z * x
 
@@ -132,6 +148,7 @@ class WideTree:
 
     def stats(self) -> dict[str, Any]:
         """Counts of nodes, leaves and references, children per node, leaf sizes, depth, bytes."""
+        self.check()
         leaf = self.is_leaf
         inner = int(len(self) - leaf.sum())
         return {
@@ -161,6 +178,7 @@ class WideTree:
         WideTree
             With ``meta["ordered"]``, which kernels look for.
         """
+        self.check()
         wanted = np.asarray(priority, np.float64)
         if wanted.shape != (len(self),) or np.isnan(wanted).any():
             raise MibvhError(f"a priority needs {len(self)} numbers, one per node of the tree")
@@ -270,12 +288,20 @@ class WideTree:
         MibvhError
             With the first fault found.
         """
-        if self._fault:
-            raise MibvhError(f"the wide tree is not sound: {self._fault[0]}")
+        self._refuse(self._faults)
 
     @functools.cached_property
-    def _fault(self) -> list[str]:
+    def _faults(self) -> list[str]:
         return self.validate()
+
+    @functools.cached_property
+    def _sound(self) -> set[str]:
+        """Digests of the triangles that the tree was found sound against."""
+        return set()
+
+    def _refuse(self, faults: list[str]) -> None:
+        if faults:
+            raise MibvhError(f"the wide tree is not sound: {faults[0]}")
 
     def check_matches(self, triangles: Triangles) -> None:
         """Refuse triangles that this tree was not built for, and a tree that is not sound.
@@ -283,43 +309,61 @@ class WideTree:
         Raises
         ------
         MibvhError
-            If the recorded digest, or failing one the reference range, does not fit, or with the
-            first fault that :meth:`validate` finds without triangles.
+            If the recorded digest or number of triangles does not fit, or with the first fault
+            that :meth:`validate` finds.
         """
         self.check()
-        digest = self.meta.get("digest")
-        fits = (
-            int(self.references.max()) < len(triangles)
-            if digest is None
-            else (digest == triangles.digest)
-        )
-        if not fits:
+        digest, count = self.meta.get("digest"), self.meta.get("triangles")
+        if digest not in (None, triangles.digest) or count not in (None, len(triangles)):
             raise MibvhError(
                 f"the wide tree ({self.meta.get('builder', 'unknown builder')}, "
                 f"{self.meta.get('triangles', '?')} triangles) was built for another geometry "
                 f"than {triangles.name} ({len(triangles)} triangles)"
             )
+        if triangles.digest not in self._sound:
+            self._refuse(self.validate(triangles))
+            self._sound.add(triangles.digest)
 
     # ------------------------------------------------------------ files
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`."""
-        header = {"width": self.width, "quantised": self.quantised, "tree": self.meta}
-        write_arrays(path, {name: getattr(self, name) for name in _ARRAYS}, header)
+    def save(self, path: str | os.PathLike[str], key: str | None = None) -> None:
+        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`.
+
+        Parameters
+        ----------
+        path : path
+        key : str, optional
+            What the tree was made from, to be asked for by :meth:`load`.
+        """
+        facts = {"width": self.width, "quantised": self.quantised, "tree": self.meta}
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        write_arrays(path, arrays, facts, kind="wide tree", key=key)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> WideTree:
+    def load(cls, path: str | os.PathLike[str], key: str | None = None) -> WideTree:
         """Read a wide tree back.
+
+        Parameters
+        ----------
+        path : path
+        key : str, optional
+            Refuse a file that was not saved with this key.
 
         Raises
         ------
         MibvhError
-            If the file is missing, is no wide tree, is damaged, or comes from a newer format.
+            If the file is missing, is no wide tree, is damaged, holds a tree that is not sound,
+            carries another key, or comes from a newer format.
         """
-        arrays, header = read_arrays(path, "wide tree", _ARRAYS)
-        return cls(
-            **arrays, width=header["width"], quantised=header["quantised"], meta=header["tree"]
-        )
+        arrays, facts = read_arrays(path, "wide tree", _ARRAYS, key=key)
+        if set(facts) != {"width", "quantised", "tree"}:
+            raise MibvhError(f"{path}: not a wide tree file of mibvh")
+        tree = cls(**arrays, width=facts["width"], quantised=facts["quantised"], meta=facts["tree"])
+        try:
+            tree.check()
+        except MibvhError as error:
+            raise MibvhError(f"{path}: {error}") from None
+        return tree
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -347,6 +391,10 @@ class BinaryView(Tree):
     def spread(self, values: npt.NDArray[Any]) -> F64:
         """(B,) float64: values of the wide tree's nodes, and 0 for virtual ones."""
         return np.where(self.node >= 0, values[self.node], 0.0)
+
+    def check(self) -> None:
+        """As :meth:`WideTree.check`: virtual nodes may make it deeper than binary trees may be."""
+        self.wide.check()
 
     def check_matches(self, triangles: Triangles) -> None:
         """As :meth:`WideTree.check_matches`."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 
 from mibvh._jit import njit
-from mibvh.tree import MAX_DEPTH
-from mibvh.triangles import Triangles
-from mibvh.validation import _coverage_faults
+from mibvh.tree import MAX_DEPTH, Tree
+from mibvh.triangles import MAX_COORDINATE, Triangles
+from mibvh.validation import geometry_faults, meta_faults
 from mibvh.wide_tree import WIDTHS, WideTree
 
 #: What :func:`_first_fault` finds, by the number that it returns; each about one node.
@@ -18,7 +20,7 @@ _FAULTS = {
     4: "is the child of no node",
     5: "has no references",
     6: "has a range of references that its children's do not make up",
-    7: "has a box that is inverted or NaN",
+    7: "has a box that is inverted, NaN or beyond 1e15",
     8: "has a box that sticks out of its parent's",
     9: "is deeper than the traversal stack of {depth}",
     10: "is a leaf that has children",
@@ -28,7 +30,7 @@ _FAULTS = {
 
 def faults(tree: WideTree, triangles: Triangles | None = None) -> list[str]:
     """Find the first fault of a tree; see :meth:`mibvh.wide_tree.WideTree.validate`."""
-    found = _array_faults(tree)
+    found = meta_faults(tree.meta) or _array_faults(tree)
     if found:
         return found[:1]
     fault, node = _first_fault(
@@ -44,7 +46,8 @@ def faults(tree: WideTree, triangles: Triangles | None = None) -> list[str]:
         return [f"reference {int(tree.references.argmin())} is negative"]
     if triangles is None:
         return []
-    return _coverage_faults(tree.binary, triangles)[:1]
+    # What it looks at, wide trees have by the same names.
+    return geometry_faults(cast(Tree, tree), triangles)[:1]
 
 
 def _array_faults(tree: WideTree) -> list[str]:
@@ -80,7 +83,8 @@ def _first_fault(lower, upper, child, children, first, count, references, width)
         if depth[n] < 0:
             return 4, n
         for k in range(3):
-            if not lower[n, k] <= upper[n, k]:  # true for NaN
+            # True for NaN.
+            if not -MAX_COORDINATE <= lower[n, k] <= upper[n, k] <= MAX_COORDINATE:
                 return 7, n
         if child[n] < 0:
             if children[n] != 0:

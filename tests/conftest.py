@@ -18,6 +18,18 @@ def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ["MIBVH_CACHE"] = str(tmp_path_factory.mktemp("cache"))
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave tests marked ``cuda`` out where there is no device to run them on."""
+    marked = [item for item in items if item.get_closest_marker("cuda")]
+    if not marked:
+        return
+    import drjit as dr
+
+    if not dr.has_backend(dr.JitBackend.CUDA):
+        config.hook.pytest_deselected(items=marked)
+        items[:] = [item for item in items if item not in marked]
+
+
 def soup(count: int, seed: int = 0, size: float = 0.1) -> mibvh.Triangles:
     """Random triangles in a box: anisotropic, of mixed size, overlapping."""
     rng = np.random.default_rng(seed)

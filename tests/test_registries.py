@@ -142,6 +142,8 @@ def test_what_a_user_adds_shows_everywhere(added, tmp_path):
     assert Progress("soup300", "count leaves", "leaves", None, 0.0).experiment in {
         step.experiment for step in steps
     }
+    rotating = [step for step in steps if step.experiment == "rotation"]
+    assert {step.builder for step in rotating if step.stage == "build"} == set(builders)
     leaves = [int(n) for n in study.table["leaves"]]
     assert study.scenes[0].result(CountResult).leaves == leaves
     assert read_study(tmp_path).scenes[0].result(CountResult).leaves == leaves

@@ -316,7 +316,9 @@ FAULTS = {
     ),
     "node {n} has no references": lambda t, n: set_at(t, "count", n, -1),
     "node 0 has a range of references that": lambda t, n: set_at(t, "count", 0, 3),
-    "node 2 has a box that is inverted or NaN": lambda t, n: set_at(t, "lower", 2, np.nan),
+    "node 2 has a box that is inverted, NaN or beyond 1e15": lambda t, n: set_at(
+        t, "lower", 2, np.nan
+    ),
     "node 3 has a box that sticks out of its parent's": lambda t, n: set_at(t, "upper", 3, 99),
     "node {n} is a leaf that has children": lambda t, n: set_at(t, "child", n, -1),
     "node {two} is a leaf that holds a triangle twice": lambda t, n: set_at(
@@ -328,7 +330,7 @@ FAULTS = {
         lower=t.lower.astype(float)
     ),
     "count is int32 (1,), not int32 ({nodes},)": lambda t, n: t.replace(count=t.count[:1]),
-    "1 triangles are in no leaf": lambda t, n: set_at(
+    "1 of 300 triangles are in no leaf": lambda t, n: set_at(
         t, "references", t.first[leaf_of(t, 1)], t.references[t.first[leaf_of(t, 2)]]
     ),
     "1 references stick out of their leaves": lambda t, n: set_at(

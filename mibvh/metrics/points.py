@@ -163,6 +163,7 @@ def weight_at(tree: Tree | WideTree, points: F64, weights: F64) -> F64:
     -------
     (P,) float64
     """
+    tree.check()
     tree = as_binary(tree)
     if isinstance(tree, BinaryView):
         weights = tree.spread(weights)
@@ -289,7 +290,7 @@ class RayEnds:
         (N,) float64
             Ends per unit of area; 0 for triangles without area.
         """
-        from mibvh.builders.morton import morton_codes
+        from mibvh.morton import morton_codes
 
         hits = np.bincount(self.triangle, minlength=len(triangles)).astype(np.float64)
         order = np.argsort(morton_codes(triangles.lower, triangles.upper), kind="stable")
@@ -333,13 +334,21 @@ def ray_starts(triangles: Any, rays: Any) -> RayEnds:
 
 def ray_hits(triangles: Any, rays: Any, hits: Any) -> RayEnds:
     """Where those rays of a set end that hit something; see :func:`ray_ends`."""
+    if len(hits.t) != len(rays):
+        raise MibvhError(f"there are {len(rays)} rays, and hits of {len(hits.t)}")
     hit = np.flatnonzero(hits.triangle >= 0)
     at = rays.o[hit].astype(np.float64) + rays.d[hit].astype(np.float64) * hits.t[hit, None]
     return _ray_ends(triangles, at, hits.triangle[hit], len(rays))
 
 
 def _ray_ends(triangles: Any, near: Any, ids: I32, rays: int) -> RayEnds:
-    points = on_surface(as_triangles(triangles), near, ids)
+    triangles = as_triangles(triangles)
+    if len(ids) and int(ids.max()) >= len(triangles):
+        raise MibvhError(
+            f"a ray begins or ends on triangle {int(ids.max())}, and {triangles.name} has "
+            f"{len(triangles)}: the rays or hits are of another geometry"
+        )
+    points = on_surface(triangles, near, ids)
     return RayEnds(points, np.ascontiguousarray(ids, np.int32), rays)
 
 

@@ -36,6 +36,7 @@ def node_costs(
     -------
     (M,) float64
     """
+    tree.check()
     inner = tree.meta.get("c_inner", 1.2) if c_inner is None else c_inner
     tri = tree.meta.get("c_tri", 1.0) if c_tri is None else c_tri
     if isinstance(tree, BinaryView):

@@ -14,8 +14,13 @@ import numpy.typing as npt
 from mibvh.errors import MibvhError
 from mibvh.files import atomic_path
 from mibvh.mitsuba.coverage import coverage_figure
-from mibvh.mitsuba.heatmap import check_quantities, cost_figure, image_channels
-from mibvh.mitsuba.register import PLUGINS
+from mibvh.mitsuba.heatmap import (
+    channel_means,
+    check_quantities,
+    cost_figure,
+    image_channels,
+)
+from mibvh.registration import PLUGINS
 from mibvh.scene import load, mitsuba_mesh, mitsuba_reason
 from mibvh.variant import mitsuba
 
@@ -111,7 +116,7 @@ def render(
         else:
             _write_png(mi, image, plugin, integrator, quantities, path)
     height, width = image.shape[:2]
-    means = {name: float(values.mean()) for name, values in image_channels(image, plugin).items()}
+    means = channel_means(image_channels(image, plugin))
     facts = {
         "image": str(output), "integrator": integrator, "width": width, "height": height,
         "spp": spp, "seed": seed, "variant": mi.variant(), "means": means,
@@ -202,11 +207,18 @@ def _in_passes(
 
 
 def _write_exr(mi: Any, image: npt.NDArray[np.float32], plugin: Any, path: Path) -> None:
+    import drjit as dr
+
     names = plugin.aov_names()
     colours = image.shape[2] - len(names)
     channels = [*(["Y"] if colours == 1 else "RGBA"[:colours]), *names]
     bitmap = mi.Bitmap(image, mi.Bitmap.PixelFormat.MultiChannel, channels)
-    bitmap.write(str(path), mi.Bitmap.FileFormat.OpenEXR)
+    threads = dr.thread_count()
+    dr.set_thread_count(max(threads, 2))  # on one thread, Mitsuba waits for itself for ever
+    try:
+        bitmap.write(str(path), mi.Bitmap.FileFormat.OpenEXR)
+    finally:
+        dr.set_thread_count(threads)
 
 
 def _write_png(

@@ -30,7 +30,8 @@ def named(trees: Any) -> dict[str, Tree | WideTree]:
     Raises
     ------
     MibvhError
-        If there is no tree, or something else, or two trees have the same name.
+        If there is no tree, or something else, or one that is not sound, or two trees have the
+        same name.
     """
     if isinstance(trees, Mapping):
         found = dict(trees)
@@ -52,4 +53,5 @@ def named(trees: Any) -> dict[str, Tree | WideTree]:
     for name, tree in found.items():
         if not isinstance(tree, Tree | WideTree):
             raise MibvhError(f"{name}: is no tree but a {type(tree).__name__}")
+        tree.check()
     return found

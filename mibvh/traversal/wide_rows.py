@@ -61,7 +61,10 @@ def as_wide(tree: Tree | WideTree, triangles: Triangles) -> WideTree:
     """
     if isinstance(tree, WideTree):
         return tree
-    return quantised(collapse(unfold(tree, triangles), 8, c_box=0.0))
+    wide = collapse(unfold(tree, triangles), 8, c_box=0.0)
+    # Boxes may be larger than the scene; grids are not.
+    lower, upper = (np.clip(box, *triangles.bounds) for box in (wide.lower, wide.upper))
+    return quantised(wide.replace(lower=lower, upper=upper))
 
 
 def wide_rows(tree: WideTree, shapes: F32, scale: np.float32) -> tuple[F32, U32, int]:

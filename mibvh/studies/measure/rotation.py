@@ -80,8 +80,7 @@ def rotated(scene: Scene, rays: RaySet) -> tuple[Scene, RaySet]:
     """Rotate a scene's triangles and its rays alike."""
     matrix = rotation_about(AXIS, DEGREES)
     triangles = dataclasses.replace(scene.triangles.rotated(matrix), name=scene.name)
-    moved = rays.rotated(matrix)
-    moved = dataclasses.replace(moved, meta={**moved.meta, "digest": triangles.digest})
+    moved = rays.rotated(matrix, triangles)
     return dataclasses.replace(scene, triangles=triangles), moved
 
 
