@@ -1,6 +1,7 @@
 """WideTree: collapsing, quantised boxes, other programs' nodes, files, invariants."""
 
 import functools
+import pickle
 
 import numpy as np
 import pytest
@@ -263,6 +264,17 @@ def test_files_and_repr(tmp_path):
         np.testing.assert_array_equal(getattr(back, name), getattr(wide, name))
     assert (back.width, back.quantised, back.meta) == (4, True, wide.meta)
     assert mibvh.epo(back, triangles) == mibvh.epo(wide, triangles)
+    copied = pickle.loads(pickle.dumps(back))
+    assert mibvh.epo(copied, triangles) == mibvh.epo(wide, triangles)
+    with pytest.raises(ValueError, match="read-only"):
+        copied.lower[0] = 0
+    wide.save(tmp_path / "keyed.npz", key="a")
+    assert len(WideTree.load(tmp_path / "keyed.npz", key="a")) == len(wide)
+    with pytest.raises(mibvh.MibvhError, match="its key differs"):
+        WideTree.load(tmp_path / "keyed.npz", key="b")
+    set_at(wide, "child", 0, 0).save(tmp_path / "unsound.npz")
+    with pytest.raises(mibvh.MibvhError, match=r"unsound.npz: the wide tree is not sound: node 0"):
+        WideTree.load(tmp_path / "unsound.npz")
     tree.save(tmp_path / "tree.npz")
     with pytest.raises(mibvh.MibvhError, match="not a wide tree file"):
         WideTree.load(tmp_path / "tree.npz")
