@@ -480,16 +480,14 @@ def test_render_command(tmp_path, capsys, monkeypatch):
     assert "there is no builder 'oak'" in err
     assert "Traceback" not in err
     own.write_text('<scene version="3.0.0"><shape type="cube"/></scene>')
-    code, _, err = run(own, "-o", tmp_path / "none.png")
-    assert code == 2
-    assert "there is no camera in it" in err
-    assert not (tmp_path / "none.png").exists()
+    code, out, _ = run(own, "-o", tmp_path / "own.png", *small, "--json")
+    assert (code, json.loads(out)["width"]) == (0, 12)  # with a camera that is chosen
     for arguments, said in [
         (("-o", tmp_path / "b.jpg"), "an image is an .exr or a .png file"),
         (("-o", tmp_path / "gone" / "b.png"), "there is no folder"),
         (("-o", image, "--quantity", "speed"), "there is no quantity 'speed'"),
         (("-o", image, "--size", "12"), "--size takes WIDTHxHEIGHT"),
-        (("-o", image, "--spp", 0), "spp must be at least 1"),
+        (("-o", image, "--spp", 0), "spp must be a whole number from 1"),
         (("-o", image, "--sensor", 9), "there is no 9"),
         (("-o", image, "-D", "grey"), "-D takes NAME=VALUE"),
         (("-o", image, "--builder", "oak"), "integrator bvh_path: there is no builder 'oak'"),

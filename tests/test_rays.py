@@ -96,5 +96,5 @@ def test_impossible_requests(cornell):
     with pytest.raises(mibvh.MibvhError, match="width must be"):
         mibvh.diffuse_rays(cornell, width=0)
     for views in (-1, 0):
-        with pytest.raises(mibvh.MibvhError, match=f"viewpoints must be at least 1, not {views}"):
+        with pytest.raises(mibvh.MibvhError, match=f"viewpoints must be a .*, not {views}"):
             mibvh.diffuse_rays(cornell, viewpoints=views)

@@ -16,7 +16,7 @@ import numpy as np
 
 from mibvh.builders.draft import Draft
 from mibvh.builders.finish import finish
-from mibvh.errors import MibvhError
+from mibvh.errors import MibvhError, did_you_mean
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles, as_triangles
 from mibvh.version import __version__
@@ -222,7 +222,10 @@ def get(name: str) -> Builder:
     if name not in _registered and name in bundled:
         importlib.import_module(bundled[name])
     if name not in _registered:
-        raise MibvhError(f"there is no builder {name!r}; there are: {', '.join(names())}")
+        raise MibvhError(
+            f"there is no builder {name!r}{did_you_mean(name, names())}; there are: "
+            f"{', '.join(names())}"
+        )
     return _registered[name]
 
 
@@ -252,7 +255,7 @@ def build(
 
     Parameters
     ----------
-    triangles : Triangles, Scene or (N, 3, 3) array
+    triangles : Triangles, Scene, (N, 3, 3) array, or a name or file that `load` takes
         The geometry.
     builder : str
         A name from :func:`names`.

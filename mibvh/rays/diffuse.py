@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from mibvh.errors import MibvhError
+from mibvh.ranges import check
 from mibvh.rays.kinds import KINDS, KindOptions
 from mibvh.rays.make import collect
 from mibvh.rays.rayset import RaySet
@@ -62,8 +62,7 @@ def diffuse_rays(
         origin that float32 cannot tell its places apart, or more than a thousandth of the rays
         hit the triangle that they leave.
     """
-    if bounces < 1:
-        raise MibvhError(f"bounces must be at least 1, not {bounces}")
+    check(bounces=bounces)
     rays = collect(
         load(scene), KINDS["diffuse"], 1, bounces, KindOptions(), viewpoints=viewpoints,
         width=width, height=height, samples=samples, seed=seed, sort=sort, progress=progress,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mibvh.errors import MibvhError
+from mibvh.ranges import check
 from mibvh.rays.kinds import Kind, KindOptions, kind_named
 from mibvh.rays.order import morton_order
 from mibvh.rays.origins import check_resolution
@@ -106,6 +107,7 @@ def collect(
     progress: Callable[[float], None] | None,
 ) -> RaySet:
     """Rays of a kind that leave the vertices ``first`` to ``last``; see :func:`make_rays`."""
+    check(seed=seed)
     views = _checked(scene, viewpoints, width=width, height=height, samples=samples)
     paths = Paths(scene)
     parts: list[RaySet] = []
@@ -142,9 +144,7 @@ def collect(
 def _checked(scene: Scene, viewpoints: int | None, **sizes: int) -> int:
     """How many viewpoints to use, if they and the sizes can be."""
     views = len(scene.sensors) if viewpoints is None else viewpoints
-    for name, value in {**sizes, "viewpoints": views}.items():
-        if value < 1:
-            raise MibvhError(f"{name} must be at least 1, not {value}")
+    check(**sizes, viewpoints=views)
     if views > len(scene.sensors):
         raise MibvhError(
             f"{scene.name} has {len(scene.sensors)} viewpoints, fewer than the {views} asked for"

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from mibvh.errors import MibvhError
 from mibvh.files import TABLES, read_arrays, write_arrays
+from mibvh.ranges import check
 from mibvh.rays import RaySet
 from mibvh.traversal.child_order import ChildOrder, child_priority
 from mibvh.traversal.kernel_rays import kernel_rays
@@ -358,8 +359,7 @@ def trace(
         If the tree or the rays belong to another geometry, or an argument is out of range.
     """
     triangles = as_triangles(triangles)
-    if repeats < 1:
-        raise MibvhError(f"repeats must be at least 1, not {repeats}")
+    check(repeats=repeats)
     rays.check_matches(triangles)
     any_hit = rays.occlusion if any_hit is None else any_hit
     if child_order is not None:

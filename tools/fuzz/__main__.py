@@ -26,6 +26,7 @@ from pathlib import Path
 PARTS = {
     "files": "tools.fuzz.files:Bench",
     "imports": "tools.fuzz.layouts:Imports",
+    "meshes": "tools.fuzz.meshes:Meshes",
 }
 #: A case that is not done after so many seconds hangs; the first one compiles.
 PATIENCE, FIRST_PATIENCE = 30.0, 600.0

@@ -96,6 +96,8 @@ def _predict(
     setting = Setting(scene, rays, rays_key, trees, options, machine, store)
     rows, timing = _time(setting, rows, report)
     picture = functools.partial(_picture, scene)
+    # Parameters of the scene, which are in its name, may change but its materials.
+    look = key_of(rays=rays_key, scene=scene.name)
     return setting, SceneRecord(
         scene=scene.name,
         triangles=len(scene.triangles),
@@ -112,7 +114,7 @@ def _predict(
         trees=rows,
         options=options,
         environment=machine,
-        picture=kept(store, f"picture-{rays_key}", _Picture, picture).png,
+        picture=kept(store, f"picture-{look}", _Picture, picture).png,
         seconds={},
     )
 

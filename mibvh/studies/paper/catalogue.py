@@ -66,10 +66,9 @@ def scenes_in(source: Any) -> list[Any]:
 def _is_scene(path: Path) -> bool:
     if path.is_dir():
         return (path / "scene.xml").is_file()
-    import trimesh
+    from mibvh.loading import mesh_formats
 
-    kind = path.suffix.lower().lstrip(".")
-    return kind == "xml" or kind in trimesh.available_formats()
+    return path.suffix.lower().lstrip(".") in {"xml", *mesh_formats()}
 
 
 def paper_comparison(records: Records, found: pd.DataFrame) -> pd.DataFrame:

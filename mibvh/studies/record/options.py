@@ -6,6 +6,7 @@ import dataclasses
 from typing import Any
 
 from mibvh.errors import MibvhError
+from mibvh.ranges import check
 
 #: The registered experiments, and what each adds; see :mod:`mibvh.studies.record.experiment`.
 EXPERIMENTS: dict[str, str] = {}
@@ -47,12 +48,11 @@ class StudyOptions:
     cull: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("width", "height", "samples", "bounces", "scalar_rays"):
-            if getattr(self, name) < 1:
-                raise MibvhError(f"{name} must be at least 1, not {getattr(self, name)}")
-        for name in ("viewpoints", "seconds", "standard_error"):
-            if getattr(self, name) < 0:
-                raise MibvhError(f"{name} must not be negative, not {getattr(self, name)}")
+        numbers = ("width", "height", "samples", "bounces", "scalar_rays", "seed", "seconds",
+                   "standard_error")  # fmt: skip
+        check(**{name: getattr(self, name) for name in numbers})
+        if self.viewpoints != 0:  # all of a scene
+            check(viewpoints=self.viewpoints)
         for name in ("builders", "experiments"):
             if isinstance(given := getattr(self, name), str):
                 raise MibvhError(f"{name} takes a tuple of names, such as ({given!r},), not a text")
