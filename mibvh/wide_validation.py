@@ -36,6 +36,8 @@ def faults(tree: WideTree, triangles: Triangles | None = None) -> list[str]:
     fault, node = _first_fault(
         tree.lower, tree.upper, tree.child, tree.children, tree.first, tree.count,
         tree.references, tree.width,
+        # Grids of 8 bits widen boxes, by less than the scene's size.
+        MAX_COORDINATE * (2 if tree.quantised else 1),
     )  # fmt: skip
     if fault:
         sentence = _FAULTS[fault].format(
@@ -68,7 +70,7 @@ def _array_faults(tree: WideTree) -> list[str]:
 
 
 @njit
-def _first_fault(lower, upper, child, children, first, count, references, width):
+def _first_fault(lower, upper, child, children, first, count, references, width, largest):
     """Number of the first fault and its node; 0 for a sound tree.
 
     Parents stand before their children: what a node is refused for is not looked at below it.
@@ -84,7 +86,7 @@ def _first_fault(lower, upper, child, children, first, count, references, width)
             return 4, n
         for k in range(3):
             # True for NaN.
-            if not -MAX_COORDINATE <= lower[n, k] <= upper[n, k] <= MAX_COORDINATE:
+            if not -largest <= lower[n, k] <= upper[n, k] <= largest:
                 return 7, n
         if child[n] < 0:
             if children[n] != 0:
