@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from pathlib import Path
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -63,7 +63,8 @@ def main() -> None:
     parser.add_argument("--height", type=int, default=72)
     asked = parser.parse_args()
     print("scene kind rays hit s | alpha fitted, estimated, 1/(1+s) | r of SAH, SAH + EPO fitted, "
-          "estimated, finite rays, any-hit, touched | levels of any-hit and touched")  # fmt: skip
+          "estimated, finite rays, any-hit, touched | levels of any-hit and touched | "
+          "trees, cheapest first, and the dearest by the cheapest")  # fmt: skip
     for name in asked.scenes:
         source = asked.folder / name / "scene.xml" if asked.folder else name
         scene = mibvh.load(source)
@@ -92,8 +93,7 @@ def _tree(scene: mibvh.Scene, path: Path, builder: str) -> mibvh.Tree:
 def _row(scene: mibvh.Scene, rays: mibvh.RaySet, trees: list[mibvh.Tree], sah: np.ndarray) -> Row:
     triangles = scene.triangles
     closest = mibvh.trace(trees[0], triangles, rays, any_hit=False, repeats=1)
-    ends = SimpleNamespace(t=np.minimum(closest.t, rays.tmax), triangle=closest.triangle)
-    length = path_length_ratio(triangles, rays, ends)
+    length = path_length_ratio(triangles, rays, closest)
     cost = [mibvh.trace(tree, triangles, rays, repeats=1).counted_cost() for tree in trees]
     query = [_starts(scene, rays, tree) for tree in trees]
     saved = [
@@ -128,8 +128,8 @@ def _mixture(rows: list[Row]) -> Row:
     def mean(name: str) -> np.ndarray:
         return np.average([getattr(row, name) for row in rows], axis=0, weights=weights)
 
-    names = [field.name for field in dataclasses.fields(Row)]
-    return Row(**{**{name: mean(name) for name in names}, "count": int(weights.sum())})
+    values: dict[str, Any] = {field.name: mean(field.name) for field in dataclasses.fields(Row)}
+    return Row(**{**values, "count": int(weights.sum())})
 
 
 def _print(scene: str, kind: str, row: Row, sah: np.ndarray, epo: np.ndarray) -> None:
@@ -138,9 +138,11 @@ def _print(scene: str, kind: str, row: Row, sah: np.ndarray, epo: np.ndarray) ->
     both, estimated = predict(sah, epo, fitted), predict(sah, epo, alpha)
     r = [pearson(x, row.cost) for x in (sah, both, estimated, row.finite, row.ours, row.touched)]
     levels = [np.mean(x / row.cost) for x in (row.ours, row.touched)]
+    ranked = [BUILDERS[i] for i in np.argsort(row.cost)]
     print(f"{scene:12} {kind:8} {row.count:6} {row.hit:.2f} {row.length:.2f} | "
           f"{fitted:.2f} {alpha:.2f} {estimate_alpha(row.length):.2f} | "
-          f"{' '.join(f'{v:.3f}' for v in r)} | {' '.join(f'{v:.2f}' for v in levels)}",
+          f"{' '.join(f'{v:.3f}' for v in r)} | {' '.join(f'{v:.2f}' for v in levels)} | "
+          f"{' '.join(ranked)} {row.cost.max() / row.cost.min():.2f}",
           flush=True)  # fmt: skip
 
 

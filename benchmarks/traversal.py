@@ -58,7 +58,7 @@ def measure(source: str, styles: list[str], builder: str, rounds: int) -> dict[s
     records = {layout: make_records(tree, triangles, layout) for layout in layouts}
     times = np.array(
         [
-            [tracer.run(records[tracer.layout])[1] for tracer in tracers]
+            [tracer.run(records[tracer.layout])[1].kernel for tracer in tracers]
             + [embree_seconds(scene, ray)]
             for _ in range(rounds + 1)
         ]

@@ -7,6 +7,7 @@ or 2 with one sentence for a user's mistake.
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import json
 import os
@@ -19,6 +20,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from mibvh.errors import MibvhError
 
@@ -45,6 +47,9 @@ LayoutOption = Annotated[
     str | None,
     typer.Option(help="mibvh, tinybvh, madmann91 or npz; by default npz by its ending, else mibvh"),
 ]
+#: Exit code of a command whose audit failed.
+AUDIT_FAILED = 3
+
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
 
 
@@ -56,7 +61,7 @@ def _print(result: dict[str, Any], as_json: bool) -> None:
     table = Table(show_header=False, box=None)
     for name, value in result.items():
         text = f"{value:.6g}" if isinstance(value, float) else str(value)
-        table.add_row(name, text)
+        table.add_row(name, Text(text))  # brackets are no markup
     Console().print(table)
 
 
@@ -258,6 +263,57 @@ def triangles_command(
     _print({"triangles": len(triangles), "digest": triangles.digest}, as_json)
 
 
+@app.command("audit")
+def audit_command(
+    scene: SceneArgument,
+    tree: TreeArgument,
+    rays: Annotated[
+        Path | None, typer.Argument(metavar="[RAYS.npz]", help="diffuse rays by default")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="of points and samples")] = 0,
+    define: Define = None,
+    as_json: Json = False,
+) -> None:
+    """Check a tree and its numbers by paths that share no code; exit code 3 if one fails."""
+    from mibvh import RaySet, Tree
+    from mibvh.audit import audit
+
+    loaded = _load(scene, define)
+    with _progress() as bar:
+        task = bar.add_task("audit", total=1.0)
+        found = audit(
+            loaded,
+            Tree.load(tree),
+            RaySet.load(rays) if rays else None,
+            seed=seed,
+            progress=_show(bar, task),
+        )
+    if as_json:
+        typer.echo(json.dumps({**dataclasses.asdict(found), "passed": found.passed}))
+    else:
+        _print_audit(found)
+    if not found.passed:
+        raise typer.Exit(AUDIT_FAILED)
+
+
+def _print_audit(found: Any) -> None:
+    """Print the checks as a table, failures in red."""
+    table = Table(box=None)
+    for heading in ("check", "", "value", "expected", "within", "compared"):
+        table.add_column(heading)
+    for check in found.checks:
+        table.add_row(
+            check.name,
+            "passed" if check.passed else "FAILED",
+            f"{check.value:.6g}",
+            f"{check.expected:.6g}",
+            f"{check.tolerance:.3g}",
+            check.detail,
+            style=None if check.passed else "red",
+        )
+    Console().print(table)
+
+
 @app.command()
 def rays(
     scene: SceneArgument,
@@ -268,21 +324,31 @@ def rays(
     samples: Annotated[int, typer.Option(help="paths per pixel")] = 4,
     bounces: Annotated[int, typer.Option(help="diffuse rays per path, at most")] = 1,
     seed: Annotated[int, typer.Option(help="of the random numbers")] = 0,
+    kind: Annotated[
+        str, typer.Option(help="diffuse, primary, shadow, ao, or bounce2, shadow2, ...")
+    ] = "diffuse",
     define: Define = None,
     as_json: Json = False,
 ) -> None:
-    """Path-trace diffuse rays with Mitsuba and save them."""
-    from mibvh import diffuse_rays
+    """Path-trace diffuse rays, or others from the same paths, with Mitsuba and save them."""
+    from mibvh import diffuse_rays, make_rays
 
+    if kind != "diffuse" and bounces != 1:
+        raise MibvhError("--bounces is for diffuse rays; name a later vertex as in shadow2")
     loaded = _load(scene, define)
+    how: dict[str, Any] = {
+        "viewpoints": viewpoints, "width": width, "height": height, "samples": samples,
+        "seed": seed,
+    }  # fmt: skip
     with _progress() as bar:
         task = bar.add_task("rays", total=1.0)
-        found = diffuse_rays(
-            loaded, viewpoints=viewpoints, width=width, height=height, samples=samples,
-            bounces=bounces, seed=seed, progress=lambda done: bar.update(task, completed=done),
-        )  # fmt: skip
+        how["progress"] = lambda done: bar.update(task, completed=done)
+        if kind == "diffuse":
+            found = diffuse_rays(loaded, bounces=bounces, **how)
+        else:
+            found = make_rays(loaded, kind, **how)
     found.save(output)
-    per_bounce = {int(b): int((found.bounce == b).sum()) for b in range(1, bounces + 1)}
+    per_bounce = {int(b): int((found.bounce == b).sum()) for b in sorted(set(found.bounce))}
     _print({"rays": len(found), **found.meta, "rays_per_bounce": per_bounce}, as_json)
 
 
@@ -304,13 +370,13 @@ def trace(
     as_json: Json = False,
 ) -> None:
     """Trace rays through a tree: hits, exact counters, kernel time."""
-    from mibvh import RaySet, Tree
+    from mibvh import Tree, read_rays
     from mibvh.traversal.trace import trace as run
 
     triangles = _load(scene, define).triangles
     hits = run(
-        Tree.load(tree), triangles, RaySet.load(rays), lanes,  # type: ignore[arg-type]
-        style=style, cull=cull, any_hit=any_hit, repeats=repeats,
+        Tree.load(tree), triangles, read_rays(rays), lanes,  # type: ignore[arg-type]
+        style=style, cull=cull, any_hit=any_hit or None, repeats=repeats,
     )  # fmt: skip
     if output:
         hits.save(output)
@@ -420,10 +486,22 @@ def study(
     if as_json:
         rows = json.loads(result.table.to_json(orient="records"))
         r = json.loads(result.correlations.to_json(orient="records"))
-        last = {"event": "result", "report": str(result.report), "trees": rows, "correlations": r}
+        failed = [
+            {"scene": scene, "tree": tree, **dataclasses.asdict(check)}
+            for scene, tree, check in result.failures
+        ]
+        last = {
+            "event": "result",
+            "report": str(result.report),
+            "trees": rows,
+            "correlations": r,
+            "audit_failures": failed,
+        }
         typer.echo(json.dumps(last))
-        return
-    _print_study(result)
+    else:
+        _print_study(result)
+    if result.failures:
+        raise typer.Exit(AUDIT_FAILED)
 
 
 def _print_study(result: Any) -> None:
@@ -444,6 +522,14 @@ def _print_study(result: Any) -> None:
         values = [f"{row[c]:.3f}" if row[c] == row[c] else "–" for c in ("mean", "min", "max")]
         table.add_row(measurement, predictor, *values, str(int(row["scenes"])))
     console.print(table)
+    for scene, tree, check in result.failures:
+        console.print(
+            Text(
+                f"audit FAILED: {scene}, {tree}: {check.name} is {check.value:.6g}, expected "
+                f"{check.expected:.6g} within {check.tolerance:.3g} ({check.detail})",
+                style="red",
+            )
+        )
     console.print(f"\nreport: {result.report}", soft_wrap=True)
 
 

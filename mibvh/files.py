@@ -20,19 +20,6 @@ from mibvh.errors import MibvhError
 
 #: Of the ``.npz`` files of trees, ray sets and hits; files of format 1 are read too.
 FORMAT_VERSION = 2
-#: Of the kinds that are tables, with a row for each ray: the type of each array, and the shape of
-#: a row.
-TABLES: dict[str, dict[str, tuple[str, tuple[int, ...]]]] = {
-    "ray set": {
-        "o": ("float32", (3,)), "d": ("float32", (3,)), "tmax": ("float32", ()),
-        "viewpoint": ("int32", ()), "bounce": ("int32", ()), "source": ("int32", ()),
-    },
-    "hits": {
-        "t": ("float32", ()), "triangle": ("int32", ()), "inner": ("uint32", ()),
-        "leaves": ("uint32", ()), "tests": ("uint32", ()), "steps": ("uint32", ()),
-        "boxes": ("uint32", ()),
-    },
-}  # fmt: skip
 
 
 @contextlib.contextmanager
@@ -162,21 +149,38 @@ def read_arrays(
         raise MibvhError(f"{path}: is a {header['kind']} file, not a {kind} file")
     if key is not None and header.get("key") != key:
         raise MibvhError(f"{path}: the {kind} file was made from something else (its key differs)")
-    _check_columns(path, kind, arrays)
     return arrays, header["meta"]
 
 
-def _check_columns(path: Any, kind: str, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Refuse arrays that are not the columns of one table."""
-    rows = None
-    for name, (dtype, row) in TABLES.get(kind, {}).items():
+def check_columns(
+    path: str | os.PathLike[str],
+    kind: str,
+    arrays: Mapping[str, npt.NDArray[Any]],
+    columns: Mapping[str, str],
+) -> None:
+    """Refuse arrays that are not the columns of one table.
+
+    Parameters
+    ----------
+    path : path
+    kind : str
+        Of the file.
+    arrays : mapping of str to array
+    columns : mapping of str to str
+        The type of each; each has a row for each of the first's.
+
+    Raises
+    ------
+    MibvhError
+        If one is of another type or shape.
+    """
+    rows = next((arrays[name].shape[:1] for name in columns), ())
+    for name, dtype in columns.items():
         array = arrays[name]
-        rows = array.shape[0] if rows is None and array.ndim else rows
-        if array.dtype != dtype or array.shape != (rows, *row):
-            wanted = ", ".join(str(n) for n in ("N" if rows is None else rows, *row))
+        if array.dtype != dtype or array.shape != rows or not rows:
             raise MibvhError(
                 f"{path}: not a {kind} file of mibvh ({name} is {array.dtype} {array.shape}, not "
-                f"{dtype} ({wanted}))"
+                f"{dtype} {rows or '(N,)'})"
             )
 
 

@@ -12,11 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.files import read_arrays, write_arrays
+from mibvh.files import checksum, read_arrays, write_arrays
 from mibvh.triangles import F32, F64, I32, Triangles
 
 #: Inner nodes on a path; the traversal stack holds as many entries.
 MAX_DEPTH = 64
+#: Deeper trees are refused altogether: exact EPO takes memory by the square of the depth.
+DEEPEST = 1024
 _ARRAYS = ("lower", "upper", "left", "first", "count", "references")
 
 
@@ -151,6 +153,12 @@ class Tree:
     def splits_triangles(self) -> bool:
         """Whether some triangle has more than one reference."""
         return len(self.references) > self.triangle_count
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """SHA-256 of the tree and its cost constants: what is computed from it goes by this."""
+        costs = {name: self.meta.get(name) for name in ("c_inner", "c_tri")}
+        return checksum({name: getattr(self, name) for name in _ARRAYS}, costs)
 
     def stats(self) -> dict[str, Any]:
         """Counts of nodes, leaves and references, leaf sizes, depth and bytes."""
@@ -316,6 +324,21 @@ class Tree:
             that :meth:`validate` finds.
         """
         self.check()
+        self.check_built_for(triangles)
+        if triangles.digest not in self._sound:
+            from mibvh.validation import geometry_faults
+
+            self._refuse(geometry_faults(self, triangles))
+            self._sound.add(triangles.digest)
+
+    def check_built_for(self, triangles: Triangles) -> None:
+        """Refuse triangles that this tree was not built for, by what it says of them.
+
+        Raises
+        ------
+        MibvhError
+            If the recorded digest or number of triangles does not fit.
+        """
         digest, count = self.meta.get("digest"), self.meta.get("triangles")
         if (digest or triangles.digest) != triangles.digest or (count or len(triangles)) != len(
             triangles
@@ -325,11 +348,6 @@ class Tree:
                 f"{self.meta.get('triangles', '?')} triangles) was built for another geometry "
                 f"than {triangles.name} ({len(triangles)} triangles)"
             )
-        if triangles.digest not in self._sound:
-            from mibvh.validation import geometry_faults
-
-            self._refuse(geometry_faults(self, triangles))
-            self._sound.add(triangles.digest)
 
     def check(self) -> None:
         """Refuse a tree that is not sound, as far as can be told without its triangles.

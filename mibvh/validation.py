@@ -13,7 +13,7 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.coverage import uncovered
-from mibvh.tree import MAX_DEPTH, Tree
+from mibvh.tree import DEEPEST, MAX_DEPTH, Tree
 from mibvh.triangles import MAX_COORDINATE, Triangles
 
 #: Leaves up to this size are searched for repeated triangles pair by pair; larger ones are sorted.
@@ -27,7 +27,7 @@ _STRUCTURE = {
     2: "node {node} has left = {left}: its children are not among the {nodes} nodes",
     3: "node {node} is the child of no node",
     4: "a child of node {node} is the child of another node too",
-    5: "node {node} is deeper than the traversal stack of {depth}",
+    5: "node {node} is deeper than {deepest}",
     6: "node {node} has no references (count = {count}): inner nodes need the range of all below "
     "them, which Tree.from_arrays makes",
     7: "the root's range is not all {references} references, but {first} and {count} from there",
@@ -44,7 +44,7 @@ def _structure(left, first, count, references):
     be no cycle.
     """
     nodes = len(left)
-    depth = np.zeros(nodes, np.uint8)  # from 1; 0 as long as no parent is known
+    depth = np.zeros(nodes, np.uint16)  # from 1; 0 as long as no parent is known
     depth[0] = 1
     if first[0] != 0 or count[0] != len(references):
         return 7, 0
@@ -55,7 +55,7 @@ def _structure(left, first, count, references):
             return 6, n
         child = np.int64(left[n])
         if child == -1:
-            if _repeats(references[first[n] : first[n] + count[n]]):
+            if _repeats(references, first[n], count[n]):
                 return 9, n
             continue
         if child <= n:
@@ -64,7 +64,7 @@ def _structure(left, first, count, references):
             return 2, n
         if depth[child] != 0 or depth[child + 1] != 0:
             return 4, n
-        if depth[n] > MAX_DEPTH:
+        if depth[n] > DEEPEST:
             return 5, child
         depth[child] = depth[child + 1] = depth[n] + 1
         a, b = np.int64(count[child]), np.int64(count[child + 1])
@@ -77,13 +77,13 @@ def _structure(left, first, count, references):
 
 
 @njit
-def _repeats(ids):
-    """Whether a value stands in the array twice."""
-    if len(ids) > _SMALL_LEAF:
-        ids = np.sort(ids)
-        return (ids[1:] == ids[:-1]).any()
-    for i in range(1, len(ids)):
-        for k in range(i):
+def _repeats(ids, first, count):
+    """Whether a value stands twice among ``count`` of the array's from ``first``."""
+    if count > _SMALL_LEAF:
+        run = np.sort(ids[first : first + count])
+        return (run[1:] == run[:-1]).any()
+    for i in range(first + 1, first + count):
+        for k in range(first, i):
             if ids[i] == ids[k]:
                 return True
     return False
@@ -158,8 +158,12 @@ def _leaf_boxes(lower, upper, left, first, count, references, corners, times):
 def faults(tree: Tree, triangles: Triangles | None = None) -> list[str]:
     """Check a tree; see :meth:`mibvh.tree.Tree.validate`."""
     found = meta_faults(tree.meta) or structure_faults(tree)
-    if not found and triangles is not None:
-        found = geometry_faults(tree, triangles)
+    if found:
+        return found
+    if tree.depth > MAX_DEPTH:  # all but traversal can do with it
+        found.append(f"depth {tree.depth} is beyond the traversal stack of {MAX_DEPTH}")
+    if triangles is not None:
+        found += geometry_faults(tree, triangles)
     return found
 
 
@@ -172,7 +176,7 @@ def structure_faults(tree: Tree) -> list[str]:
     if fault:
         return [_STRUCTURE[fault].format(
             node=n, left=tree.left[n], first=tree.first[n], count=tree.count[n], nodes=len(tree),
-            references=len(tree.references), depth=MAX_DEPTH,
+            references=len(tree.references), deepest=DEEPEST,
         )]  # fmt: skip
     known = tree.meta.get("triangles")
     if known is None and tree.references.min() < 0:

@@ -62,6 +62,32 @@ def test_the_whole_path(cli, tmp_path):
     assert wide["wide_counted_cost"] != traced["counted_cost"]
 
 
+def test_other_kinds_of_rays_and_rays_of_ones_own(cli, tmp_path):
+    """Shadow rays end at any hit; plain arrays are traced like ray sets."""
+    scene, small = "cornell@3000", ("--width", 16, "--height", 12, "--json")
+    tree, rays, plain = (tmp_path / name for name in ("t.npz", "r.npz", "r.npy"))
+    cli("build", scene, "-o", tree)
+    code, out, _ = cli("rays", scene, "-o", rays, "--kind", "shadow", *small)
+    made = json.loads(out)
+    assert code == 0
+    assert (made["kind"], made["occlusion"]) == ("shadow", True)
+    shadow = mibvh.read_rays(rays)
+    np.save(plain, np.concatenate([shadow.o, shadow.d], axis=1))
+    costs = []
+    for file in (rays, plain):
+        code, out, _ = cli("trace", scene, tree, file, "--repeats", 1, "--json")
+        costs.append(json.loads(out)["inner_per_ray"])
+    assert costs[0] < costs[1]
+    hits = mibvh.trace(mibvh.Tree.load(tree), mibvh.load(scene), shadow, any_hit=True, repeats=1)
+    assert costs[0] == pytest.approx(hits.inner.mean())
+    code, out, err = cli("rays", scene, "-o", rays, "--kind", "glossy", *small)
+    assert (code, out) == (2, "")
+    assert "there is no kind of rays 'glossy'" in err
+    code, out, err = cli("rays", scene, "-o", rays, "--kind", "ao", "--bounces", 2, *small)
+    assert code == 2
+    assert "--bounces is for diffuse rays" in err
+
+
 def test_a_study_for_machines(cli, tmp_path):
     """JSON lines, the result last; twice the samples are twice the camera rays."""
     code, out, err = cli(

@@ -57,6 +57,19 @@ def test_a_tree_under_another_name_is_not_believed(small_soup, tmp_path):
         mibvh.Tree.load(tmp_path / "t.npz", key="bbvh")
 
 
+def test_rays_have_a_kind_and_a_key(tmp_path):
+    rays = mibvh.RaySet(np.zeros((3, 3)), np.ones((3, 3)))
+    path = tmp_path / "r.npz"
+    rays.save(path, key="four bounces")
+    assert mibvh.RaySet.load(path, key="four bounces").digest == rays.digest
+    with pytest.raises(mibvh.MibvhError, match="its key differs"):
+        mibvh.RaySet.load(path, key="one bounce")
+    names = ("o", "d", "tmax", "viewpoint", "bounce", "source")
+    write_arrays(path, {name: getattr(rays, name) for name in names}, {}, kind="rays")
+    with pytest.raises(mibvh.MibvhError, match="is a rays file, not a ray set file"):
+        mibvh.RaySet.load(path)
+
+
 @pytest.mark.parametrize(
     "change",
     [

@@ -7,6 +7,7 @@ import sys
 import tomllib
 import warnings
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from conftest import closed_box
 import mibvh
 import mibvh.mitsuba
 from mibvh.cli import main
+from mibvh.mitsuba.accelerator import Accelerator
 from mibvh.mitsuba.costs import QUANTITIES, CostProbe, leaf_depths
 from mibvh.mitsuba.coverage import Coverage
 from mibvh.variant import mitsuba
@@ -72,13 +74,22 @@ def render(scene, kind, **parameters):
 
 
 def assert_same_image(scene, builder="sbvh", **parameters):
-    """Equal up to rounding; a path in a thousand may fall on the other side of a decision."""
+    """With Mitsuba's origins equal up to rounding, with nearer ones nearly so.
+
+    A path in a thousand may fall on the other side of a decision.
+    """
     wanted = render(scene, "path", **parameters)
-    found = render(scene, "bvh_path", builder=builder, **parameters)
+    near = render(scene, "bvh_path", builder=builder, **parameters)
+    with (
+        mock.patch.object(Accelerator, "spawn_ray", lambda _, si, d: si.spawn_ray(d)),
+        mock.patch.object(Accelerator, "spawn_ray_to", lambda _, si, p: si.spawn_ray_to(p)),
+    ):
+        found = render(scene, "bvh_path", builder=builder, **parameters)
     assert wanted.mean() > 0.01
-    off = np.abs(found - wanted) > 1e-3 * (wanted + 0.01)
-    assert off.any(axis=2).mean() < 0.01
-    assert found.mean() == pytest.approx(wanted.mean(), rel=2e-3)
+    for image, tolerance, most, mean in [(found, 1e-3, 0.01, 2e-3), (near, 2e-2, 0.08, 1e-2)]:
+        off = np.abs(image - wanted) > tolerance * (wanted + 0.01)
+        assert off.any(axis=2).mean() < most
+        assert image.mean() == pytest.approx(wanted.mean(), rel=mean)
 
 
 SCENES = {

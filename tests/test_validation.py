@@ -111,7 +111,7 @@ def test_every_function_says_the_first_fault(small_soup, changes, said):
     for use in (
         lambda: mibvh.sah(tree),
         lambda: mibvh.epo(tree, small_soup),
-        lambda: mibvh.epo(tree, small_soup, samples=8),
+        lambda: mibvh.estimate_epo(tree, small_soup, 8),
         lambda: mibvh.trace(tree, small_soup, rays),
         lambda: tree.depth,
         lambda: tree.parents,
@@ -125,20 +125,40 @@ def test_every_function_says_the_first_fault(small_soup, changes, said):
         assert "\n" not in str(error.value)
 
 
-def test_too_deep_a_tree():
-    """A chain: node 2 i has the leaf 2 i + 1 and the rest."""
-    levels = 65
+def chain(levels):
+    """A chain: node 2 i has the leaf 2 i + 1 and the rest; triangle i is a copy of the others."""
     left = np.full(2 * levels + 1, -1, np.int32)
     left[: 2 * levels : 2] = np.arange(1, 2 * levels, 2)
-    left[2 : 2 * levels : 2] = np.arange(3, 2 * levels, 2)
-    first = np.repeat(np.arange(levels + 1), 2)[: 2 * levels + 1].astype(np.int32)
-    first[1::2] = np.arange(levels)
-    first[::2] = np.arange(levels + 1)
+    first = np.zeros(2 * levels + 1, np.int32)
+    first[1::2], first[::2] = np.arange(levels), np.arange(levels + 1)
     count = np.ones(2 * levels + 1, np.int32)
     count[::2] = levels + 1 - np.arange(levels + 1)
-    box = np.zeros((2 * levels + 1, 3), np.float32)
-    tree = mibvh.Tree(box, box, left, first, count, np.arange(levels + 1, dtype=np.int32))
-    assert tree.validate() == ["node 129 is deeper than the traversal stack of 64"]
+    lower, upper = (
+        np.zeros((2 * levels + 1, 3), np.float32),
+        np.ones((2 * levels + 1, 3), np.float32),
+    )
+    triangles = mibvh.Triangles(np.tile(np.eye(3), (levels + 1, 1, 1)))
+    ids = np.arange(levels + 1, dtype=np.int32)
+    return mibvh.Tree(lower, upper, left, first, count, ids), triangles
+
+
+def test_deep_trees():
+    """Up to the traversal's stack all is well; beyond it metrics alone; much deeper, nothing."""
+    rays = mibvh.RaySet(np.full((4, 3), 2.0), np.full((4, 3), -1.0))
+    tree, triangles = chain(64)
+    assert tree.validate(triangles) == []
+    assert np.isfinite(mibvh.trace(tree, triangles, rays, repeats=1).t).all()
+    tree, triangles = chain(65)
+    assert tree.validate(triangles) == ["depth 65 is beyond the traversal stack of 64"]
+    assert mibvh.epo(tree, triangles) > 0
+    with pytest.raises(mibvh.MibvhError, match="65 levels deep; the traversal stack has 64"):
+        mibvh.trace(tree, triangles, rays)
+    tree, triangles = chain(1024)
+    assert mibvh.sah(tree) == pytest.approx(1.2 * 1024 + 1025)
+    assert mibvh.epo(tree, triangles) > 0
+    tree, triangles = chain(1025)
+    with pytest.raises(mibvh.MibvhError, match="node 2049 is deeper than 1024"):
+        mibvh.sah(tree)
 
 
 def test_a_tree_with_children_of_two_parents():

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
 import importlib
-import inspect
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mibvh.builders.draft import Draft
 from mibvh.builders.finish import finish
+from mibvh.code import code_digest
 from mibvh.errors import MibvhError, did_you_mean
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles, as_triangles
@@ -103,6 +101,9 @@ class Builder:
     function : callable
         ``function(triangles, options, context)`` returning a :class:`Draft`, or nested
         pairs of triangle ids (see :meth:`Draft.from_nested`).
+    version : str or None
+        Of a user's builder, if it declares one: a study keeps its trees while this is the same,
+        and builds them anew in every run where there is none.
     """
 
     name: str
@@ -110,25 +111,22 @@ class Builder:
     source: str
     options: type[Options]
     function: BuildFunction
+    version: str | None = None
 
     def draft(self, triangles: Any, options: Options, context: Context) -> Draft:
         """Run the builder proper, without the shared finishing."""
         result = self.function(triangles, options, context)
         return result if isinstance(result, Draft) else Draft.from_nested(result, triangles)
 
-    def fingerprint(self) -> str:
-        """Hash of the builder's code: a tree kept for an older version of it is not this one's."""
+    def code(self) -> str | None:
+        """What stands for the builder's code in the key of a kept tree; None if nothing does.
+
+        The code of a builder of this package can be followed. What a user's own reads, calls or
+        imports cannot: its author says by a version when its trees change.
+        """
         if self.name in _BUNDLED or self.name in _LATER:
-            files = sorted(Path(__file__).parent.glob("*.py"))
-            text = b"".join(path.read_bytes() for path in files)
-        else:
-            source = inspect.getsourcefile(self.function)
-            text = (
-                Path(source).read_bytes()
-                if source and Path(source).exists()
-                else (self.function.__code__.co_code)
-            )
-        return hashlib.sha256(text).hexdigest()
+            return code_digest("mibvh.builders.registry")
+        return self.version
 
     def describe(self) -> dict[str, Any]:
         """Return a JSON-able description with the options' defaults and ranges."""
@@ -164,7 +162,12 @@ _registered: dict[str, Builder] = {}
 
 
 def builder(
-    name: str, *, summary: str = "", source: str = "", options: type[Options] = Options
+    name: str,
+    *,
+    summary: str = "",
+    source: str = "",
+    options: type[Options] = Options,
+    version: str | None = None,
 ) -> Callable[[BuildFunction], BuildFunction]:
     """Register a builder; the study and the command line take it like the paper's own.
 
@@ -177,6 +180,9 @@ def builder(
     options : type
         A frozen, keyword-only dataclass that inherits from :class:`Options`, each field from
         :func:`option`.
+    version : str, optional
+        To be changed with everything that changes the builder's trees: a study keeps trees of a
+        builder with a version, and builds those of one without in every run.
 
     Returns
     -------
@@ -198,7 +204,7 @@ def builder(
     """
 
     def register(function: BuildFunction) -> BuildFunction:
-        _registered[name] = Builder(name, summary, source, options, function)
+        _registered[name] = Builder(name, summary, source, options, function, version)
         return function
 
     return register

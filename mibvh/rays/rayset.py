@@ -159,23 +159,35 @@ class RaySet:
         meta = {**self.meta, "digest": triangles.digest if triangles else None, "rotated": True}
         return dataclasses.replace(self, o=o.astype(np.float32), d=d, meta=meta)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`."""
-        write_arrays(path, {name: getattr(self, name) for name in _ARRAYS}, self.meta)
+    def save(self, path: str | os.PathLike[str], key: str | None = None) -> None:
+        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`.
+
+        Parameters
+        ----------
+        path : path
+        key : str, optional
+            What the rays were made from, to be asked for by :meth:`load`.
+        """
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        write_arrays(path, arrays, self.meta, kind="ray set", key=key)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> RaySet:
+    def load(cls, path: str | os.PathLike[str], key: str | None = None) -> RaySet:
         """Read a ray set back.
+
+        Parameters
+        ----------
+        path : path
+        key : str, optional
+            Refuse a file that was not saved with this key.
 
         Raises
         ------
         MibvhError
-            If the file is missing, is no ray set, is damaged, comes from a newer format, or its
-            arrays are not those of rays.
+            If the file is missing, is no ray set, is damaged, carries another key, comes from a
+            newer format, or its arrays are not those of rays.
         """
-        arrays, meta = read_arrays(path, "ray set", _ARRAYS)
-        if not isinstance(meta, dict):
-            raise MibvhError(f"{path}: not a ray set file of mibvh (its meta is no dictionary)")
+        arrays, meta = read_arrays(path, "ray set", _ARRAYS, key=key)
         try:
             return cls(**arrays, meta=meta)
         except MibvhError as error:

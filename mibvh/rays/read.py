@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +50,7 @@ def read_rays(path: str | os.PathLike[str]) -> RaySet:
         raise MibvhError(f"{path}: rays are read from {', '.join(readers)} files")
     try:
         return read(path)
-    except (OSError, ValueError, EOFError, KeyError, IndexError, zipfile.BadZipFile) as error:
+    except Exception as error:  # NumPy's and zipfile's readers raise whatever theirs raise
         reason = " ".join(str(error).split()) or type(error).__name__
         if reason.startswith(str(path)):
             raise MibvhError(reason) from None
@@ -59,7 +58,7 @@ def read_rays(path: str | os.PathLike[str]) -> RaySet:
 
 
 def _read_npz(path: Path) -> RaySet:
-    with np.load(path, allow_pickle=False) as data:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
         if "header" in data.files:
             return RaySet.load(path)
         missing = [name for name in ("o", "d") if name not in data.files]
@@ -70,7 +69,8 @@ def _read_npz(path: Path) -> RaySet:
 
 
 def _read_npy(path: Path) -> RaySet:
-    rows = np.load(path, allow_pickle=False)
+    with path.open("rb") as file:
+        rows = np.load(file, allow_pickle=False)
     if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.shape[1] != 6:
         raise MibvhError(f"rays need an array of shape (R, 6), not {np.shape(rows)}")
     return RaySet(rows[:, :3], rows[:, 3:], meta={"file": path.name})

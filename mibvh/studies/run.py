@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mibvh.builders import names
+from mibvh.code import code_digest
 from mibvh.errors import MibvhError
 from mibvh.files import write_text
 from mibvh.scene import load
@@ -29,6 +30,8 @@ from mibvh.studies.record.scene import FORMAT, SceneRecord
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from mibvh.audit.record import Check
 
 _KEPT = "scene-"
 #: Names of the scenes that the study has finished, in order.
@@ -83,6 +86,13 @@ class Study:
     def depth(self) -> pd.DataFrame:
         """Where in the trees cost and overlap sit; see :mod:`mibvh.studies.analyse.depth`."""
         return depth_table(self.scenes)
+
+    @property
+    def failures(self) -> list[tuple[str, str, Check]]:
+        """The scene, the tree and the check of every number that failed its audit."""
+        from mibvh.studies.report.tables.audit import failures
+
+        return failures(self.scenes)
 
     @property
     def report(self) -> Path:
@@ -247,5 +257,13 @@ def read_study(folder: str | os.PathLike[str]) -> Study:
     kept = [found for name in finished["scenes"] if (found := store.read(_KEPT + name))]
     if len(kept) < len(finished["scenes"]):
         raise MibvhError(f"{folder}: a scene of this study is damaged; run it again to mend it")
-    records = [SceneRecord.from_json(found) for found in kept]
+    records = [_with_code_note(SceneRecord.from_json(found)) for found in kept]
     return Study(Path(folder), records, records[-1].environment)
+
+
+def _with_code_note(record: SceneRecord) -> SceneRecord:
+    """Say of a scene if other code than this one measured it."""
+    if record.code == code_digest("mibvh.studies.measure.scene"):
+        return record
+    note = "Measured by other code than that of this mibvh: run the study again to bring it up."
+    return dataclasses.replace(record, notes=[*record.notes, note])

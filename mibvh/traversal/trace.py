@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-from typing import Any, Literal
+import time
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.files import TABLES, read_arrays, write_arrays
+from mibvh.files import check_columns, read_arrays, write_arrays
 from mibvh.ranges import check
 from mibvh.rays import RaySet
 from mibvh.traversal.child_order import ChildOrder, child_priority
@@ -29,7 +30,11 @@ Lanes = Literal["simd", "scalar"]
 #: Name of a style in :data:`mibvh.traversal.styles.STYLES`.
 Style = str
 U32 = npt.NDArray[np.uint32]
-_ARRAYS = (*TABLES["hits"], "seconds")
+_COLUMNS = {
+    "t": "float32", "triangle": "int32", "inner": "uint32", "leaves": "uint32", "tests": "uint32",
+    "steps": "uint32", "boxes": "uint32",
+}  # fmt: skip
+_ARRAYS = (*_COLUMNS, "seconds")
 #: What else a file of hits tells.
 _FACTS = {"lanes": str, "lane_width": int, "issued": int, "style": str}
 
@@ -172,6 +177,7 @@ class Hits:
             If the file is missing, holds no hits, is damaged, or comes from a newer format.
         """
         arrays, meta = read_arrays(path, "hits", _ARRAYS)
+        check_columns(path, "hits", arrays, _COLUMNS)
         if arrays["seconds"].dtype != np.float64 or arrays["seconds"].ndim != 1:
             raise MibvhError(f"{path}: hits: the seconds are no times")
         for name, kind in _FACTS.items():
@@ -186,6 +192,21 @@ class Hits:
         ).all():
             raise MibvhError(f"{path}: hits: a triangle or a time is negative")
         return hits
+
+
+class LaunchSeconds(NamedTuple):
+    """What a launch took, by two clocks.
+
+    Attributes
+    ----------
+    kernel : float
+        Wall time of the kernel.
+    process : float
+        CPU time of the process while the kernel ran, all threads together.
+    """
+
+    kernel: float
+    process: float
 
 
 class Tracer:
@@ -245,15 +266,15 @@ class Tracer:
         """Layout of the records that the style reads."""
         return self._style.layout
 
-    def run(self, records: Records, *, count: bool = False) -> tuple[Visits, float]:
+    def run(self, records: Records, *, count: bool = False) -> tuple[Visits, LaunchSeconds]:
         """Trace once.
 
         Returns
         -------
         visits : Visits
             Dr.Jit arrays, evaluated; the counters only if they were asked for.
-        seconds : float
-            Kernel execution time, without tracing and compilation.
+        seconds : LaunchSeconds
+            Without tracing and compilation.
         """
         import drjit as dr
 
@@ -263,10 +284,15 @@ class Tracer:
             )
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
+            process, thread = time.process_time(), time.thread_time()
             visits = self.launch(records, count)
+            # Until here this thread has traced the kernel; others execute it.
+            thread = time.thread_time() - thread
             dr.sync_thread()
+            process = time.process_time() - process - thread
             history = dr.kernel_history([dr.KernelType.JIT])
-        return visits, sum(kernel["execution_time"] for kernel in history) / 1e3
+        kernel = sum(launched["execution_time"] for launched in history) / 1e3
+        return visits, LaunchSeconds(kernel, process)
 
     def fetch(self, column: Any) -> npt.NDArray[Any]:
         """One column of visits as a NumPy array with an entry per ray."""
@@ -288,7 +314,7 @@ class Tracer:
         outputs, _ = self.run(records, count=True)
         if repeats:
             self.run(records)  # the first launch may compile
-        seconds = np.array([self.run(records)[1] for _ in range(repeats)])
+        seconds = np.array([self.run(records)[1].kernel for _ in range(repeats)])
         visits = Visits(*(self.fetch(column) for column in outputs if column is not None))
         return Hits(
             (visits.t / self.unit).astype(np.float32), visits.triangle.view(np.int32),

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from mibvh.audit.record import Check
 from mibvh.errors import MibvhError
 from mibvh.metrics.predictors import Sample
 from mibvh.studies.record.options import StudyOptions
@@ -20,7 +21,7 @@ from mibvh.studies.record.serialise import from_json, to_json
 from mibvh.triangles import F64
 
 #: To be raised with every change of the fields below.
-FORMAT = 7
+FORMAT = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +55,8 @@ class TreeRow:
         How many rays visited 0, 1, 2, ... leaves.
     build_report : dict
         What the builder said of its work.
+    audit : list of Check
+        The checks of the tree and of its figures.
     """
 
     builder: str
@@ -65,6 +68,12 @@ class TreeRow:
     costs_by_origin: list[OriginCost]
     leaf_distribution: list[int]
     build_report: dict[str, Any]
+    audit: list[Check] = dataclasses.field(default_factory=list)
+
+    @property
+    def failures(self) -> list[Check]:
+        """The checks that did not pass."""
+        return [check for check in self.audit if not check.passed]
 
     def __getitem__(self, name: str) -> float:
         return self.values[name]
@@ -85,7 +94,13 @@ class Timing:
     complete : bool
         Whether the error asked for was reached before the time ran out.
     rays, portions : int
-        How many rays were timed, and in how many portions.
+        How many rays were timed, and in how many portions; no portions where they are too few
+        to be timed.
+    copies : int
+        How often they were repeated to fill a launch.
+    clock : str
+        By which the trees are compared: ``kernel``, its wall time, or ``process``, the CPU time
+        of the process.
     repeat_difference : float
         By how much the first tree, timed twice under two names, differed from itself; NaN where
         no tree was.
@@ -95,6 +110,8 @@ class Timing:
     complete: bool
     rays: int
     portions: int
+    copies: int = 1
+    clock: str = "kernel"
     repeat_difference: float = float("nan")
 
 
@@ -155,6 +172,10 @@ class SceneRecord:
         PNG, base64-encoded.
     seconds : dict of str to float
         What each stage took, in the runs that its pieces were made in.
+    reused : dict of str to int
+        How many pieces of each stage the last run took from the study's folder.
+    code : str
+        Hash of the code that measured the scene.
     results : dict of str to Result
         Of the experiments beside prediction that were run, by name.
     """
@@ -170,6 +191,8 @@ class SceneRecord:
     environment: dict[str, Any]
     picture: str
     seconds: dict[str, float]
+    reused: dict[str, int]
+    code: str
     results: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Any:
@@ -184,6 +207,10 @@ class SceneRecord:
     def column(self, name: str) -> F64:
         """(K,) float64: a quantity of each tree."""
         return np.array([tree[name] for tree in self.trees], dtype=np.float64)
+
+    def knows(self, name: str) -> bool:
+        """Whether a quantity is known of all trees: times are not, where rays are too few."""
+        return bool(np.isfinite(self.column(name)).all())
 
     def splits_triangles(self, tree: TreeRow) -> bool:
         """Whether a tree enters some triangle more than once."""

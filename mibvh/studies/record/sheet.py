@@ -26,12 +26,25 @@ _LATEX = str.maketrans({
 
 
 class Cell(NamedTuple):
-    """A value as it is read: its text, what it sorts by, its error, whether it is the best."""
+    """A value as it is read.
+
+    Attributes
+    ----------
+    text : str
+    sort : float or str
+        What it sorts by.
+    error : str
+    best : bool
+        Whether it is the best of its column, by more than the errors.
+    alarm : bool
+        Whether it is not to be believed.
+    """
 
     text: str
     sort: float | str
-    error: str
-    best: bool
+    error: str = ""
+    best: bool = False
+    alarm: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +65,9 @@ class Column:
         Key of the relative error that is shown behind its values; that key has no column of its
         own in the table, but one in the file of its values.
     smaller_is_better : bool
-        Whether the smallest value is marked as the best.
+        Whether the smallest value is marked as the best, if its lead is beyond the errors.
+    alarm : str
+        Key of the column that says which values are not to be believed.
     """
 
     key: str
@@ -61,6 +76,7 @@ class Column:
     help: str = ""
     error: str = ""
     smaller_is_better: bool = False
+    alarm: str = ""
 
     @property
     def head(self) -> str:
@@ -68,7 +84,7 @@ class Column:
         return self.heading or self.key
 
     @classmethod
-    def of(cls, quantity: Quantity, error: bool = False) -> Column:
+    def of(cls, quantity: Quantity, error: bool = False, alarm: str = "") -> Column:
         """Return the column of a quantity, with its error behind it if that is asked for."""
         return cls(
             key=quantity.name,
@@ -77,6 +93,7 @@ class Column:
             help=quantity.help,
             error=quantity.error if error else "",
             smaller_is_better=quantity.smaller_is_better,
+            alarm=alarm,
         )
 
 
@@ -135,7 +152,7 @@ class Sheet:
 
     def rows(self) -> list[list[Cell]]:
         """The cells, row by row."""
-        least = {c: self.frame[c.key].min() for c in self.columns if c.smaller_is_better}
+        least = {c: _clear_least(self.frame, c) for c in self.columns if c.smaller_is_better}
         return [
             [_cell(column, row, least.get(column)) for column in self.columns]
             for row in self.frame.to_dict("records")
@@ -169,22 +186,44 @@ class Sheet:
         )
 
 
+def _clear_least(frame: pd.DataFrame, column: Column) -> float | None:
+    """The least value, or None if its lead over the next one is within their errors.
+
+    Equal values share the lead. Of times, the lead must be twice the standard error of the
+    difference.
+    """
+    values = frame[column.key].to_numpy(np.float64)
+    if not np.isfinite(values).any():
+        return None
+    least = float(np.nanmin(values))
+    others = values > least
+    if column.error and others.any():
+        errors = values * np.nan_to_num(frame[column.error].to_numpy(np.float64))
+        second = int(np.nanargmin(np.where(others, values, np.inf)))
+        first = int(np.nanargmin(values))
+        if not values[second] - least > 2 * np.hypot(errors[first], errors[second]):
+            return None
+    return least
+
+
 def _cell(column: Column, row: dict[Any, Any], least: float | None) -> Cell:
     value = row[column.key]
+    alarm = bool(column.alarm and row[column.alarm])
     if isinstance(value, bool | np.bool_):
-        return Cell("yes" if value else "no", float(value), "", False)
+        return Cell("yes" if value else "no", float(value), alarm=alarm)
     if isinstance(value, str):
-        return Cell(value, value, "", False)
+        return Cell(value, value, alarm=alarm)
     if value is None or np.isnan(value):
-        return Cell(_NONE, "", "", False)
+        return Cell(_NONE, "", alarm=alarm)
     if np.isinf(value):
-        return Cell("∞" if value > 0 else "−∞", float(np.nan_to_num(value)), "", False)
+        return Cell("∞" if value > 0 else "−∞", float(np.nan_to_num(value)), alarm=alarm)
     error = row[column.error] if column.error else np.nan
     return Cell(
         format(value, column.format),
         float(value),
         f"±{error:.1%}" if np.isfinite(error) else "",
-        least is not None and value == least,
+        least is not None and value == least and not alarm,
+        alarm,
     )
 
 
