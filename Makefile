@@ -13,7 +13,7 @@ SCENES ?= cornell livingroom hairball city_italian vegetation powerplant
 FUZZ_SECONDS ?= 300
 FUZZ_SEED    ?= 0
 
-.PHONY: study test lint fuzz setup lock clean
+.PHONY: study test lint docs fuzz setup lock clean
 
 study: setup
 	$(BIN)/mibvh study $(addsuffix @$(SIZE),$(SCENES)) -o $(OUT)
@@ -25,6 +25,11 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The pages of docs/ and the API reference, as a site; fails on any warning.
+docs: $(VENV)/docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo "out/docs/index.html"
 
 fuzz: setup
 	FUZZ_SECONDS=$(FUZZ_SECONDS) FUZZ_SEED=$(FUZZ_SEED) $(BIN)/python -m tools.fuzz
@@ -38,6 +43,10 @@ $(VENV)/installed: pyproject.toml requirements.lock
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	@touch $@
+
+$(VENV)/docs: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	@touch $@
 
 # Needs uv; writes the versions that `make setup` installs.

@@ -693,8 +693,20 @@ def scenes_show(
     )
 
 
+def _keep_stdout_for_results() -> None:
+    """Send what Mitsuba's log writes to standard output to standard error instead.
+
+    The log writes to the file descriptor; results go where it pointed before.
+    """
+    sys.stdout.flush()
+    results = os.dup(1)
+    os.dup2(2, 1)
+    sys.stdout = os.fdopen(results, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)
+
+
 def main() -> None:
     """Entry point of the ``mibvh`` command."""
+    _keep_stdout_for_results()
     try:
         app()
     except MibvhError as error:

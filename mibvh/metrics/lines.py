@@ -1,9 +1,9 @@
 """The surface area heuristic for the lines that rays really lie on.
 
-The heuristic takes a box to be pierced by a share ``A_n / A_root`` of the lines through the
-scene, which holds for lines that are spread evenly in place and direction. Here the share is
-counted among the lines of a ray set, each weighted by the part of it that its ray is, so that a
-line counts once however many rays lie on it. Derived in ``docs/alpha.md``.
+The heuristic assumes that a share ``A_n / A_root`` of the lines through the scene pierces box
+``n``. That is true of lines that are uniformly distributed. Here the share is counted among the
+lines of a ray set. Each line is weighted by the part of it that its ray covers, so that it counts
+once however many rays lie on it. Derived in ``docs/alpha.md``.
 """
 
 from __future__ import annotations
@@ -48,6 +48,10 @@ class RayLines:
     def __len__(self) -> int:
         return len(self.share)
 
+    def sah(self, tree: Tree) -> Estimate:
+        """SAH of a tree with these lines; see :func:`sah_of_lines`."""
+        return sah_of_lines(tree, self)
+
 
 def ray_lines(triangles: Any, rays: Any, hits: Any, count: int | None = None) -> RayLines:
     """Lines of a ray set.
@@ -59,7 +63,7 @@ def ray_lines(triangles: Any, rays: Any, hits: Any, count: int | None = None) ->
     hits : Hits
         Of these rays, from any tree.
     count : int, optional
-        Take at most so many rays, every so-many-eth of the set, instead of all.
+        Take every k-th ray, with the smallest k that leaves at most this many; all by default.
 
     Returns
     -------
@@ -71,7 +75,7 @@ def ray_lines(triangles: Any, rays: Any, hits: Any, count: int | None = None) ->
         If ``count`` is less than 1, or the hits are not those of the rays.
     """
     if count is not None and count < 1:
-        raise MibvhError(f"lines are taken of at least one ray, not {count}")
+        raise MibvhError(f"count must be at least 1, not {count}")
     if len(hits.t) != len(rays):
         raise MibvhError(f"there are {len(rays)} rays, and hits of {len(hits.t)}")
     step = 1 if count is None else max(1, -(-len(rays) // count))
@@ -85,7 +89,7 @@ def ray_lines(triangles: Any, rays: Any, hits: Any, count: int | None = None) ->
 
 
 def inside_box(bounds: F64, o: F64, d: F64) -> tuple[F64, F64]:
-    """Where lines enter and leave a box; the second is less than the first for those that miss."""
+    """Where lines enter and leave a box; for a line that misses, the exit lies before the entry."""
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (bounds[0] - o) / d, (bounds[1] - o) / d
     across = d != 0
@@ -124,15 +128,15 @@ def _pierced(begin, end, o, d, start, stop, lower, upper, left, cost, depth, out
 
 
 def line_costs(tree: Tree | WideTree, lines: RayLines, *, whole: bool = True) -> F64:
-    """Cost of all nodes whose closed boxes lines pierce, or rays touch, in no order.
+    """Cost of all nodes whose closed boxes a line pierces or a ray touches.
 
     Parameters
     ----------
     tree : Tree or WideTree
     lines : RayLines
     whole : bool
-        Whether to take the whole line, or only the ray from its origin to where it ends: what
-        its traversal costs at the least, if it knew beforehand where it ends.
+        Whether to take the whole line, or only the ray from its origin to its end. The latter
+        is the least that a traversal can cost that knows beforehand where the ray ends.
 
     Returns
     -------
@@ -154,7 +158,7 @@ def line_costs(tree: Tree | WideTree, lines: RayLines, *, whole: bool = True) ->
 
 
 def sah_of_lines(tree: Tree | WideTree, lines: RayLines) -> Estimate:
-    """SAH with the rays' own lines instead of evenly spread ones.
+    """SAH with the rays' own lines instead of uniformly distributed ones.
 
     Parameters
     ----------
@@ -165,7 +169,7 @@ def sah_of_lines(tree: Tree | WideTree, lines: RayLines) -> Estimate:
     Returns
     -------
     Estimate
-        Mean cost of a line, weighted by the share of it that its ray is.
+        Mean cost of a line, weighted by the share of it that its ray covers.
 
     Raises
     ------
@@ -174,7 +178,7 @@ def sah_of_lines(tree: Tree | WideTree, lines: RayLines) -> Estimate:
     """
     inside = int(np.count_nonzero(lines.share))
     if inside < 2:
-        raise MibvhError(f"{inside} rays run through the scene's box, too few to average over")
+        raise MibvhError(f"{inside} rays pass through the scene's box, too few to average over")
     costs, share = line_costs(tree, lines), lines.share
     value = float(share @ costs / share.sum())
     spread = share * (costs - value)  # of a ratio of two means

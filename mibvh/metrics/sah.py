@@ -76,8 +76,8 @@ def sah(
 ) -> float:
     """Expected cost of a long random ray, by the surface area heuristic.
 
-    :func:`mibvh.sah_of_lines` takes the lines that rays lie on, instead of lines of even place
-    and direction.
+    The ray is taken from uniformly distributed lines. :func:`mibvh.sah_of_lines` uses the lines
+    that given rays lie on.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def sah(
     c_inner, c_tri : float, optional
         By default what the tree was built with, or the paper's 1.2 and 1.0.
     **deprecated
-        ``ray_lines``: what the function named above takes.
+        ``ray_lines``: an argument of the function named above.
 
     Returns
     -------
@@ -106,7 +106,5 @@ def _of_lines(
             raise TypeError(f"sah() got an unexpected keyword argument {name!r}")
     if c_inner is not None or c_tri is not None:
         raise MibvhError("with ray_lines, the cost constants are those the tree was built with")
-    from mibvh.metrics.lines import sah_of_lines  # needs the node costs of this file
-
     warnings.warn("sah(ray_lines=) is now sah_of_lines()", DeprecationWarning, stacklevel=3)
-    return sah_of_lines(tree, asked["ray_lines"])
+    return asked["ray_lines"].sah(tree)

@@ -121,9 +121,15 @@ def render(
     height, width = image.shape[:2]
     means = channel_means(image_channels(image, plugin))
     facts = {
-        "image": str(output), "integrator": integrator, "width": width, "height": height,
-        "spp": spp, "seed": seed, "variant": mi.variant(), "means": means,
-    }  # fmt: skip
+        "image": str(output),
+        "integrator": integrator,
+        "width": width,
+        "height": height,
+        "spp": spp,
+        "seed": seed,
+        "variant": mi.variant(),
+        "means": means,
+    }
     return facts, notes
 
 
@@ -168,13 +174,19 @@ def _mitsuba_scene(source: str, defines: dict[str, str]) -> Any:
     matrix = np.array(loaded.sensors[0].world_transform().matrix, dtype=float).reshape(4, 4)
     # The sky does not shine into a closed room, a lamp at the first camera does.
     lamp = {
-        "type": "point", "position": matrix[:3, 3].tolist(),
+        "type": "point",
+        "position": matrix[:3, 3].tolist(),
         "intensity": float(loaded.triangles.diagonal) ** 2,
-    }  # fmt: skip
-    return mi.load_dict({
-        "type": "scene", "mesh": mitsuba_mesh(loaded.triangles), "sky": {"type": "constant"},
-        "lamp": lamp, **{f"sensor_{i}": sensor for i, sensor in enumerate(loaded.sensors)},
-    })  # fmt: skip
+    }
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "mesh": mitsuba_mesh(loaded.triangles),
+            "sky": {"type": "constant"},
+            "lamp": lamp,
+            **{f"sensor_{i}": sensor for i, sensor in enumerate(loaded.sensors)},
+        }
+    )
 
 
 def _in_passes(
@@ -212,9 +224,13 @@ def _write_exr(mi: Any, image: npt.NDArray[np.float32], plugin: Any, path: Path)
 
 
 def _write_png(
-    mi: Any, image: npt.NDArray[np.float32], plugin: Any, integrator: str,
-    quantities: Sequence[str], path: Path,
-) -> None:  # fmt: skip
+    mi: Any,
+    image: npt.NDArray[np.float32],
+    plugin: Any,
+    integrator: str,
+    quantities: Sequence[str],
+    path: Path,
+) -> None:
     if integrator in ("bvh_cost", "bvh_rays"):
         channels = image_channels(image, plugin)
         figure = (

@@ -1,4 +1,4 @@
-"""Where a picture is drawn, and what it is drawn of."""
+"""The axes of a picture, and the trees it shows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mibvh.wide_tree import WideTree
 
 
 def axes(ax: Axes | None, width: float = 4.8, height: float = 3.2) -> Axes:
-    """Return the Axes given, or those of a new figure of so many inches."""
+    """Return the given Axes, or those of a new figure of this size in inches."""
     if ax is not None:
         return ax
     from matplotlib import pyplot as plt
@@ -25,7 +25,7 @@ def axes(ax: Axes | None, width: float = 4.8, height: float = 3.2) -> Axes:
 
 
 def named(trees: Any) -> dict[str, Tree | WideTree]:
-    """Trees by name: a mapping as it is, one tree or several by their builders' names.
+    """Trees by name: a mapping is taken as it is; other trees get their builders' names.
 
     Raises
     ------
@@ -45,13 +45,13 @@ def named(trees: Any) -> dict[str, Tree | WideTree]:
                 name = f"{name}, {tree.width} wide"
             if name in found:
                 raise MibvhError(
-                    f"two of the trees are named {name}; give them as a dict of names to trees"
+                    f"two of the trees are named {name}; pass a dict of names to trees"
                 )
             found[name] = tree
     if not found:
         raise MibvhError("there is no tree to draw")
     for name, tree in found.items():
         if not isinstance(tree, Tree | WideTree):
-            raise MibvhError(f"{name}: is no tree but a {type(tree).__name__}")
+            raise MibvhError(f"{name}: is of type {type(tree).__name__}, not a Tree")
         tree.check()
     return found

@@ -21,7 +21,7 @@ from mibvh.wide_tree import WideTree
 
 DepthQuantity = Literal["nodes", "leaves", "leaf_size", "sah", "epo"]
 
-#: What :func:`by_depth` draws: the title, and what stands at the vertical axis.
+#: What :func:`by_depth` draws: the title, and the label of the vertical axis.
 _QUANTITIES: dict[str, tuple[str, str]] = {
     "nodes": ("Nodes by depth", "inner nodes and leaves"),
     "leaves": ("Leaves by depth", "leaves"),
@@ -34,17 +34,17 @@ _QUANTITIES: dict[str, tuple[str, str]] = {
 def by_depth(
     trees: Any, quantity: DepthQuantity = "nodes", triangles: Any = None, *, ax: Axes | None = None
 ) -> Axes:
-    """Draw how a quantity is spread over the depth of trees.
+    """Draw the distribution of a quantity over the depth of trees.
 
     Parameters
     ----------
     trees : Tree or WideTree, sequence of these, or mapping of name to them
     quantity : str
         ``nodes``, ``leaves``, ``leaf_size`` (mean number of references), ``sah`` or ``epo`` (each
-        level's share of the cost). The legend gives the total of the tree; for ``leaf_size`` the
-        mean over all leaves.
+        level's contribution). The legend gives the tree's total; for ``leaf_size`` the mean over
+        all leaves.
     triangles : Triangles, Scene or (N, 3, 3) array
-        What the trees were built for; ``epo`` needs it.
+        What the trees were built for; required for ``epo``.
     ax : Axes, optional
 
     Returns
@@ -97,7 +97,7 @@ def _total(tree: Tree | WideTree, quantity: str, values: F64) -> str:
 
 
 def leaf_sizes(trees: Any, *, ax: Axes | None = None) -> Axes:
-    """Draw how many of the leaves hold one triangle, two, and so on.
+    """Draw the share of leaves that have one triangle, two, and so on.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def leaf_sizes(trees: Any, *, ax: Axes | None = None) -> Axes:
 
 
 def sah_epo(trees: Any, triangles: Any, *, ax: Axes | None = None) -> Axes:
-    """Draw the EPO of trees against their SAH, a point each.
+    """Draw the EPO of trees against their SAH, one point per tree.
 
     Parameters
     ----------
@@ -162,14 +162,14 @@ def predicted_measured(
     measurement: str = "measured cost",
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the measured cost of trees against a prediction, with the line of least squares.
+    """Draw the measured cost of trees against a prediction, with the least-squares line.
 
     Parameters
     ----------
     predicted, measured : mapping of name to value
         A dict or a pandas Series each, over the same trees.
     predictor, measurement : str
-        What they are, with the unit, for the axes.
+        Labels of the axes, with units.
     ax : Axes, optional
 
     Returns

@@ -1,4 +1,4 @@
-"""One sheet that shows a tree."""
+"""An overview of a tree on one sheet."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def overview(tree: Tree | WideTree, scene: Scene, *, depth: int = 6, viewpoint: 
     scene : Scene
         What it was built for.
     depth : int
-        Of the boxes in the wireframe.
+        Depth of the boxes in the wireframe.
     viewpoint : int
         Index of ``scene.sensors``.
 

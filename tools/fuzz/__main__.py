@@ -55,9 +55,12 @@ class Child:
     def __init__(self, part: str, first: int) -> None:
         self.process = subprocess.Popen(
             [sys.executable, "-m", "tools.fuzz", "--work", part, str(first)],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace",
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
             cwd=Path(__file__).parents[2],
-        )  # fmt: skip
+        )
         self.lines: queue.Queue[str | None] = queue.Queue()
         threading.Thread(target=self._read, daemon=True).start()
         self.errors: collections.deque[str] = collections.deque(maxlen=5)

@@ -82,7 +82,8 @@ def _of_target(records: Records, target: Quantity) -> Iterator[dict[str, float |
         name = {"scene": record.scene, "measurement": target.name}
         # Where the rays are too few to be timed there is nothing to agree with.
         if not record.knows(target.name):
-            yield from ({**name, "predictor": one.name, **_NO_AGREEMENT} for one in predictors())
+            for one in predictors():
+                yield {**name, "predictor": one.name, **_NO_AGREEMENT}
             continue
         sample = known[place]
         groups = np.array([tree.cost_groups for tree in record.trees])
