@@ -213,7 +213,7 @@ def meta_faults(meta: Any) -> list[str]:
         return [f"its metadata says that it has {str(count)[:40]!r} triangles"]
     if digest is not None and not isinstance(digest, str):
         return ["its metadata has a digest that is no text"]
-    for name in ("c_inner", "c_tri"):
+    for name in ("c_inner", "c_tri", "c_box"):
         cost = meta.get(name, 1.0)
         number = isinstance(cost, int | float) and not isinstance(cost, bool)
         if not (number and 0 <= cost <= _DEAREST):

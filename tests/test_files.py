@@ -157,7 +157,7 @@ def test_hits_round_trip_and_are_checked(tmp_path, cornell):
     np.testing.assert_array_equal(again.t, hits.t)
     with pytest.raises(mibvh.MibvhError, match="not a tree file"):
         mibvh.Tree.load(path)
-    columns = ("t", "triangle", "inner", "leaves", "tests", "steps", "seconds")
+    columns = ("t", "triangle", "inner", "leaves", "tests", "steps", "boxes", "seconds")
     good = {name: getattr(hits, name) for name in columns}
     meta = {"lanes": "simd", "lane_width": 8, "issued": 8, "style": "single"}
     for change, said in [

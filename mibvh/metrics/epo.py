@@ -29,6 +29,7 @@ from mibvh.metrics.sah import node_costs
 from mibvh.parallel import run_blocks, thread_count
 from mibvh.tree import Tree
 from mibvh.triangles import F64, as_triangles
+from mibvh.wide_tree import WideTree
 
 #: Areas are accumulated as integers in these units of the total area.
 _UNIT = 2.0**-60
@@ -59,7 +60,7 @@ class OverlapResult:
 
 
 def overlap(
-    tree: Tree,
+    tree: Tree | WideTree,
     triangles: Any,
     *,
     weights: npt.ArrayLike | None = None,
@@ -71,7 +72,7 @@ def overlap(
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles or (N, 3, 3) array
     weights : (N,) array, optional
         Density of ray ends on each triangle, up to a factor; by default the same on all, as
@@ -94,6 +95,12 @@ def overlap(
     MibvhError
         If the tree was built for another geometry, or a weight is missing or negative.
     """
+    if isinstance(tree, WideTree):
+        found = overlap(
+            tree.binary, triangles, weights=weights, fragments=fragments, threads=threads,
+            progress=progress,
+        )  # fmt: skip
+        return dataclasses.replace(found, fraction=found.fraction[tree.binary.place])
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
     density = np.ones(len(triangles)) if weights is None else np.asarray(weights, np.float64)
@@ -129,7 +136,7 @@ def overlap(
     return OverlapResult(sums.sum(axis=0) * _UNIT, pairs, visits, clips)
 
 
-def epo_per_node(tree: Tree, triangles: Any, **options: Any) -> F64:
+def epo_per_node(tree: Tree | WideTree, triangles: Any, **options: Any) -> F64:
     """Each node's share of the EPO; options as for :func:`overlap`.
 
     Returns
@@ -139,7 +146,7 @@ def epo_per_node(tree: Tree, triangles: Any, **options: Any) -> F64:
     return node_costs(tree) * overlap(tree, triangles, **options).fraction
 
 
-def epo_per_depth(tree: Tree, triangles: Any, **options: Any) -> F64:
+def epo_per_depth(tree: Tree | WideTree, triangles: Any, **options: Any) -> F64:
     """EPO of the nodes of each depth; options as for :func:`overlap`.
 
     Returns
@@ -151,7 +158,7 @@ def epo_per_depth(tree: Tree, triangles: Any, **options: Any) -> F64:
 
 
 def epo(
-    tree: Tree,
+    tree: Tree | WideTree,
     triangles: Any,
     *,
     weights: npt.ArrayLike | None = None,
@@ -168,7 +175,7 @@ def epo(
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles or (N, 3, 3) array
         What the tree was built for.
     weights : (N,) array, optional
@@ -206,7 +213,9 @@ def epo(
     return float(epo_per_node(tree, triangles, **exact).sum())
 
 
-def _estimated(tree: Tree, triangles: Any, exact: dict[str, Any], asked: dict[str, Any]) -> Any:
+def _estimated(
+    tree: Tree | WideTree, triangles: Any, exact: dict[str, Any], asked: dict[str, Any]
+) -> Any:
     """Return what ``epo(samples=...)`` and ``epo(ray_ends=...)`` were before 0.2, an Estimate."""
     for name in asked:
         if name not in ("samples", "seed", "ray_ends"):

@@ -20,6 +20,7 @@ from mibvh.metrics.sah import node_costs
 from mibvh.parallel import run_blocks
 from mibvh.tree import Tree
 from mibvh.triangles import F64, as_triangles
+from mibvh.wide_tree import WideTree, as_binary
 
 _BLOCK = 1024
 
@@ -126,12 +127,12 @@ def _pierced(begin, end, o, d, start, stop, lower, upper, left, cost, depth, out
         out[i] = total
 
 
-def line_costs(tree: Tree, lines: RayLines, *, whole: bool = True) -> F64:
+def line_costs(tree: Tree | WideTree, lines: RayLines, *, whole: bool = True) -> F64:
     """Cost of all nodes whose closed boxes a line pierces or a ray touches.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     lines : RayLines
     whole : bool
         Whether to take the whole line, or only the ray from its origin to its end. The latter
@@ -142,6 +143,7 @@ def line_costs(tree: Tree, lines: RayLines, *, whole: bool = True) -> F64:
     (L,) float64
         In units of the cost constants that the tree was built with.
     """
+    tree = as_binary(tree)
     costs = node_costs(tree)
     out = np.zeros(len(lines))
     start = -np.inf if whole else 0.0
@@ -155,12 +157,12 @@ def line_costs(tree: Tree, lines: RayLines, *, whole: bool = True) -> F64:
     return out
 
 
-def sah_of_lines(tree: Tree, lines: RayLines) -> Estimate:
+def sah_of_lines(tree: Tree | WideTree, lines: RayLines) -> Estimate:
     """SAH with the rays' own lines instead of uniformly distributed ones.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     lines : RayLines
         From :func:`ray_lines`.
 

@@ -18,6 +18,7 @@ from mibvh.metrics.sah import node_costs
 from mibvh.parallel import run_blocks
 from mibvh.tree import Tree
 from mibvh.triangles import F64, I32, Triangles, as_triangles
+from mibvh.wide_tree import BinaryView, WideTree, as_binary
 
 _BLOCK = 4096
 
@@ -83,7 +84,7 @@ def _query(
         out[i, 1] = own
 
 
-def triangle_positions(tree: Tree, triangles: int) -> tuple[Any, Any]:
+def triangle_positions(tree: Tree | WideTree, triangles: int) -> tuple[Any, Any]:
     """Positions of each triangle's references in leaf order.
 
     Returns
@@ -97,12 +98,12 @@ def triangle_positions(tree: Tree, triangles: int) -> tuple[Any, Any]:
     return starts, np.argsort(tree.references, kind="stable").astype(np.int32)
 
 
-def point_costs(tree: Tree, triangles: Any, points: F64, ids: I32) -> F64:
+def point_costs(tree: Tree | WideTree, triangles: Any, points: F64, ids: I32) -> F64:
     """Cost of a point query at each point.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles or (N, 3, 3) array
         What the tree was built for.
     points : (P, 3) float64
@@ -135,6 +136,7 @@ def point_costs(tree: Tree, triangles: Any, points: F64, ids: I32) -> F64:
         raise MibvhError(f"ids of points must be integers from 0 to {len(triangles) - 1}")
     ids = ids.astype(np.int32)
     starts, positions = triangle_positions(tree, len(triangles))
+    tree = as_binary(tree)
     costs = node_costs(tree)
     out = np.zeros((len(points), 2))
 
@@ -146,12 +148,12 @@ def point_costs(tree: Tree, triangles: Any, points: F64, ids: I32) -> F64:
     return out
 
 
-def weight_at(tree: Tree, points: F64, weights: F64) -> F64:
+def weight_at(tree: Tree | WideTree, points: F64, weights: F64) -> F64:
     """Sum of the weights of the nodes whose closed box contains a point, anywhere in space.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     points : (P, 3) float64
     weights : (M,) float64
         One per node. Ones count the nodes; :func:`mibvh.metrics.sah.node_costs` gives the cost
@@ -162,6 +164,9 @@ def weight_at(tree: Tree, points: F64, weights: F64) -> F64:
     (P,) float64
     """
     tree.check()
+    tree = as_binary(tree)
+    if isinstance(tree, BinaryView):
+        weights = tree.spread(weights)
     # A point that belongs to a triangle without references has foreign nodes only.
     nobody, starts = np.zeros(len(points), np.int32), np.zeros(2, np.int64)
     positions, out = np.zeros(0, np.int32), np.zeros((len(points), 2))
@@ -187,7 +192,7 @@ def barycentric(triangles: Triangles, ids: I32, u: F64, v: F64) -> F64:
     return a + u[:, None] * (b - a) + v[:, None] * (c - a)
 
 
-def estimate_epo(tree: Tree, triangles: Any, samples: int, seed: int = 0) -> Estimate:
+def estimate_epo(tree: Tree | WideTree, triangles: Any, samples: int, seed: int = 0) -> Estimate:
     """Estimate EPO from points on the surfaces, stratified by area.
 
     The surfaces are ordered like the tree's references and cut into ``samples / 2`` strata of
@@ -195,7 +200,7 @@ def estimate_epo(tree: Tree, triangles: Any, samples: int, seed: int = 0) -> Est
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles or (N, 3, 3) array
     samples : int
         Number of points, at least 4; an odd number is rounded down.
@@ -376,12 +381,12 @@ def on_surface(triangles: Triangles, near: Any, ids: I32) -> F64:
     return barycentric(triangles, ids, u / over, v / over)
 
 
-def epo_at_ends(tree: Tree, triangles: Any, ends: RayEnds) -> Estimate:
+def epo_at_ends(tree: Tree | WideTree, triangles: Any, ends: RayEnds) -> Estimate:
     """Extra cost of a point query where rays really end, instead of evenly over all surfaces.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles or (N, 3, 3) array
     ends : RayEnds
         From :func:`ray_ends`.

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from mibvh.errors import MibvhError
 from mibvh.plot.marks import STYLE
 from mibvh.tree import Tree
+from mibvh.wide_tree import WideTree
 
 
 def axes(ax: Axes | None, width: float = 4.8, height: float = 3.2) -> Axes:
@@ -23,7 +24,7 @@ def axes(ax: Axes | None, width: float = 4.8, height: float = 3.2) -> Axes:
         return plt.subplots(figsize=(width, height), layout="constrained")[1]
 
 
-def named(trees: Any) -> dict[str, Tree]:
+def named(trees: Any) -> dict[str, Tree | WideTree]:
     """Trees by name: a mapping is taken as it is; other trees get their builders' names.
 
     Raises
@@ -35,10 +36,13 @@ def named(trees: Any) -> dict[str, Tree]:
     if isinstance(trees, Mapping):
         found = dict(trees)
     else:
-        several = [trees] if isinstance(trees, Tree) or not isinstance(trees, Iterable) else trees
+        alone = isinstance(trees, Tree | WideTree) or not isinstance(trees, Iterable)
+        several = [trees] if alone else trees
         found = {}
         for tree in several:
             name = str(getattr(tree, "meta", {}).get("builder", "tree"))
+            if isinstance(tree, WideTree):
+                name = f"{name}, {tree.width} wide"
             if name in found:
                 raise MibvhError(
                     f"two of the trees are named {name}; pass a dict of names to trees"
@@ -47,7 +51,7 @@ def named(trees: Any) -> dict[str, Tree]:
     if not found:
         raise MibvhError("there is no tree to draw")
     for name, tree in found.items():
-        if not isinstance(tree, Tree):
+        if not isinstance(tree, Tree | WideTree):
             raise MibvhError(f"{name}: is of type {type(tree).__name__}, not a Tree")
         tree.check()
     return found

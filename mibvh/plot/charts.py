@@ -17,6 +17,7 @@ from mibvh.plot.canvas import axes, named
 from mibvh.plot.marks import builder_colour, depth_curves, named_points
 from mibvh.tree import Tree
 from mibvh.triangles import F64, as_triangles
+from mibvh.wide_tree import WideTree
 
 DepthQuantity = Literal["nodes", "leaves", "leaf_size", "sah", "epo"]
 
@@ -37,7 +38,7 @@ def by_depth(
 
     Parameters
     ----------
-    trees : Tree, sequence of Tree, or mapping of name to Tree
+    trees : Tree or WideTree, sequence of these, or mapping of name to them
     quantity : str
         ``nodes``, ``leaves``, ``leaf_size`` (mean number of references), ``sah`` or ``epo`` (each
         level's contribution). The legend gives the tree's total; for ``leaf_size`` the mean over
@@ -73,7 +74,7 @@ def by_depth(
     return axis
 
 
-def _of_levels(tree: Tree, quantity: str, triangles: Any) -> F64:
+def _of_levels(tree: Tree | WideTree, quantity: str, triangles: Any) -> F64:
     """(depth + 1,) float64: the quantity on each level."""
     levels, leaf = tree.depth + 1, tree.is_leaf
     if quantity == "epo":
@@ -89,7 +90,7 @@ def _of_levels(tree: Tree, quantity: str, triangles: Any) -> F64:
     return np.divide(references, leaves, out=np.full(levels, np.nan), where=leaves > 0)
 
 
-def _total(tree: Tree, quantity: str, values: F64) -> str:
+def _total(tree: Tree | WideTree, quantity: str, values: F64) -> str:
     if quantity == "leaf_size":
         return f"{tree.stats()['mean_leaf_size']:.2f}"
     return f"{values.sum():.4g}" if quantity in ("sah", "epo") else f"{int(values.sum()):,}"
@@ -100,7 +101,7 @@ def leaf_sizes(trees: Any, *, ax: Axes | None = None) -> Axes:
 
     Parameters
     ----------
-    trees : Tree, sequence of Tree, or mapping of name to Tree
+    trees : Tree or WideTree, sequence of these, or mapping of name to them
     ax : Axes, optional
 
     Returns
@@ -129,7 +130,7 @@ def sah_epo(trees: Any, triangles: Any, *, ax: Axes | None = None) -> Axes:
 
     Parameters
     ----------
-    trees : sequence of Tree, or mapping of name to Tree
+    trees : sequence of Tree or WideTree, or mapping of name to them
     triangles : Triangles, Scene or (N, 3, 3) array
         What they were built for.
     ax : Axes, optional

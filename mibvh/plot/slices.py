@@ -13,6 +13,7 @@ from mibvh.plot.canvas import axes
 from mibvh.plot.marks import SEQUENTIAL
 from mibvh.tree import Tree
 from mibvh.triangles import F64, I32, Triangles, as_triangles
+from mibvh.wide_tree import WideTree
 
 #: Points on the longer side of a slice.
 _RESOLUTION = 512
@@ -27,7 +28,7 @@ _QUANTITIES: dict[str, tuple[str, str]] = {
 
 
 def overlap_slice(
-    tree: Tree,
+    tree: Tree | WideTree,
     triangles: Any,
     quantity: SliceQuantity = "leaves",
     *,
@@ -40,7 +41,7 @@ def overlap_slice(
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles, Scene or (N, 3, 3) array
         What it was built for.
     quantity : str
@@ -112,7 +113,7 @@ def _plane(triangles: Triangles, axis: str | None, at: float | None) -> tuple[in
 
 def _draw_plane(
     canvas: Axes,
-    tree: Tree,
+    tree: Tree | WideTree,
     normal: int,
     place: float,
     window: tuple[F64, F64],
@@ -168,7 +169,7 @@ def _section(triangles: Triangles, normal: int, place: float) -> tuple[F64, I32]
 
 def _draw_section(
     canvas: Axes,
-    tree: Tree,
+    tree: Tree | WideTree,
     triangles: Triangles,
     segments: F64,
     ids: I32,

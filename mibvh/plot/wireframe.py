@@ -16,6 +16,7 @@ from mibvh.scene import Scene
 from mibvh.tree import Tree
 from mibvh.triangles import F64, I32
 from mibvh.variant import mitsuba
+from mibvh.wide_tree import WideTree
 
 #: Points per edge at which visibility is tested.
 _PIECES = 96
@@ -24,7 +25,7 @@ _EDGES = np.array([(a, a | bit) for bit in (1, 2, 4) for a in range(8) if not a 
 
 
 def wireframe(
-    tree: Tree,
+    tree: Tree | WideTree,
     scene: Scene,
     depth: int = 6,
     *,
@@ -40,7 +41,7 @@ def wireframe(
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     scene : Scene
         What it was built for, with a perspective camera.
     depth : int
@@ -142,7 +143,7 @@ class _Camera:
         right, up, self.center = np.array(sampled.uv, dtype=np.float64).T / film
         self.scale = np.array([(right - self.center)[0], (up - self.center)[1]])
 
-    def edges(self, tree: Tree, nodes: I32) -> tuple[F64, I32, npt.NDArray[np.bool_]]:
+    def edges(self, tree: Tree | WideTree, nodes: I32) -> tuple[F64, I32, npt.NDArray[np.bool_]]:
         """Edges of boxes inside the film, cut where surfaces hide them.
 
         Returns

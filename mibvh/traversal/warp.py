@@ -275,7 +275,7 @@ def simulate(
     )
     return Warps(
         width, style, order, rules.vote, plan.threshold,
-        (visits.t / unit).astype(np.float32), *visits[1:], issued[:, :2].copy(),
+        (visits.t / unit).astype(np.float32), *visits[1:5], issued[:, :2].copy(),
         issued[:, 2].copy(), dealt,
     )  # fmt: skip
 
