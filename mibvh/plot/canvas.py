@@ -30,7 +30,7 @@ def named(trees: Any) -> dict[str, Tree | WideTree]:
     Raises
     ------
     MibvhError
-        If there is no tree, or something else, or one that is not sound, or two trees have the
+        If there is no tree, or something else, or an invalid tree, or two trees have the
         same name.
     """
     if isinstance(trees, Mapping):
