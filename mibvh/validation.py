@@ -174,10 +174,17 @@ def structure_faults(tree: Nodes) -> list[str]:
         return found
     fault, n = _structure(tree.left, tree.first, tree.count, tree.references)
     if fault:
-        return [_STRUCTURE[fault].format(
-            node=n, left=tree.left[n], first=tree.first[n], count=tree.count[n], nodes=len(tree),
-            references=len(tree.references), deepest=DEEPEST,
-        )]  # fmt: skip
+        return [
+            _STRUCTURE[fault].format(
+                node=n,
+                left=tree.left[n],
+                first=tree.first[n],
+                count=tree.count[n],
+                nodes=len(tree),
+                references=len(tree.references),
+                deepest=DEEPEST,
+            )
+        ]
     known = tree.meta.get("triangles")
     if known is None and tree.references.min() < 0:
         return ["a reference is negative"]
@@ -191,9 +198,15 @@ def geometry_faults(tree: Nodes, triangles: Triangles) -> list[str]:
         return found
     times = np.bincount(tree.references, minlength=len(triangles)).astype(np.int32)
     out, n = _leaf_boxes(
-        tree.lower, tree.upper, tree.left, tree.first, tree.count, tree.references,
-        triangles.corners, times,
-    )  # fmt: skip
+        tree.lower,
+        tree.upper,
+        tree.left,
+        tree.first,
+        tree.count,
+        tree.references,
+        triangles.corners,
+        times,
+    )
     if out:
         found.append(f"{out} references stick out of their leaves (first: in node {n})")
     missed, t = uncovered(tree, triangles, times)

@@ -52,10 +52,17 @@ def renumbered(
         left, right, first, count, len(ids), start
     )
     if fault:
-        raise MibvhError(_FAULTS[fault].format(
-            node=n, left=left[n], right=right[n], nodes=nodes, first=first[n], count=count[n],
-            references=len(ids),
-        ))  # fmt: skip
+        raise MibvhError(
+            _FAULTS[fault].format(
+                node=n,
+                left=left[n],
+                right=right[n],
+                nodes=nodes,
+                first=first[n],
+                count=count[n],
+                references=len(ids),
+            )
+        )
     found = ids[taken]
     meta = {"builder": name, "options": {}, "c_inner": 1.2, "c_tri": 1.0, "report": {}}
     if triangles := _dense(found):
@@ -199,6 +206,11 @@ def _renumber(left, right, first, count, references, root):
             if c >= 0:
                 starts[place], counts[place] = starts[c], counts[c] + counts[c + 1]
     return (
-        fault, at, order[:used], child[:used].copy(), starts[:used].copy(), counts[:used].copy(),
+        fault,
+        at,
+        order[:used],
+        child[:used].copy(),
+        starts[:used].copy(),
+        counts[:used].copy(),
         taken[:written],
-    )  # fmt: skip
+    )

@@ -97,9 +97,13 @@ def overlap(
     """
     if isinstance(tree, WideTree):
         found = overlap(
-            tree.binary, triangles, weights=weights, fragments=fragments, threads=threads,
+            tree.binary,
+            triangles,
+            weights=weights,
+            fragments=fragments,
+            threads=threads,
             progress=progress,
-        )  # fmt: skip
+        )
         return dataclasses.replace(found, fraction=found.fraction[tree.binary.place])
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
@@ -127,9 +131,20 @@ def overlap(
 
     def work(worker: int, begin: int, end: int) -> None:
         counts[worker] += walk(
-            begin, end, walked, fragments, triangles.corners, density, starts, positions,
-            tree.references, nodes, unit, work_on[worker], sums[worker],
-        )  # fmt: skip
+            begin,
+            end,
+            walked,
+            fragments,
+            triangles.corners,
+            density,
+            starts,
+            positions,
+            tree.references,
+            nodes,
+            unit,
+            work_on[worker],
+            sums[worker],
+        )
 
     run_blocks(work, len(tree.references), _BLOCK, workers, progress)
     pairs, visits, clips = (int(c) for c in counts.sum(axis=0))

@@ -150,8 +150,20 @@ def line_costs(tree: Tree | WideTree, lines: RayLines, *, whole: bool = True) ->
     stop = np.full(len(lines), np.inf) if whole else lines.length
 
     def work(_worker: int, begin: int, end: int) -> None:
-        _pierced(begin, end, lines.o, lines.d, start, stop, tree.lower, tree.upper, tree.left,
-                 costs, tree.depth, out)  # fmt: skip
+        _pierced(
+            begin,
+            end,
+            lines.o,
+            lines.d,
+            start,
+            stop,
+            tree.lower,
+            tree.upper,
+            tree.left,
+            costs,
+            tree.depth,
+            out,
+        )
 
     run_blocks(work, len(lines), _BLOCK)
     return out

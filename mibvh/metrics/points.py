@@ -141,8 +141,22 @@ def point_costs(tree: Tree | WideTree, triangles: Any, points: F64, ids: I32) ->
     out = np.zeros((len(points), 2))
 
     def work(_worker: int, begin: int, end: int) -> None:
-        _query(begin, end, points, ids, starts, positions, tree.lower, tree.upper, tree.left,
-               tree.first, tree.count, tree.depth, costs, out)  # fmt: skip
+        _query(
+            begin,
+            end,
+            points,
+            ids,
+            starts,
+            positions,
+            tree.lower,
+            tree.upper,
+            tree.left,
+            tree.first,
+            tree.count,
+            tree.depth,
+            costs,
+            out,
+        )
 
     run_blocks(work, len(points), _BLOCK)
     return out
@@ -172,8 +186,22 @@ def weight_at(tree: Tree | WideTree, points: F64, weights: F64) -> F64:
     positions, out = np.zeros(0, np.int32), np.zeros((len(points), 2))
 
     def work(_worker: int, begin: int, end: int) -> None:
-        _query(begin, end, points, nobody, starts, positions, tree.lower, tree.upper, tree.left,
-               tree.first, tree.count, tree.depth, weights, out)  # fmt: skip
+        _query(
+            begin,
+            end,
+            points,
+            nobody,
+            starts,
+            positions,
+            tree.lower,
+            tree.upper,
+            tree.left,
+            tree.first,
+            tree.count,
+            tree.depth,
+            weights,
+            out,
+        )
 
     run_blocks(work, len(points), _BLOCK)
     return out[:, 0]

@@ -136,8 +136,14 @@ def _draw_plane(
     few = top <= 12  # a colour for each number instead of a continuous scale
     norm = mpl.colors.BoundaryNorm(np.arange(-0.5, top + 1), 256) if few else None
     limits = {"norm": norm} if few else {"vmin": 0, "vmax": top}
-    drawn = canvas.imshow(np.ma.masked_equal(counts, 0), origin="lower", extent=extent,
-                          cmap=SEQUENTIAL, interpolation="nearest", **limits)  # fmt: skip
+    drawn = canvas.imshow(
+        np.ma.masked_equal(counts, 0),
+        origin="lower",
+        extent=extent,
+        cmap=SEQUENTIAL,
+        interpolation="nearest",
+        **limits,
+    )
     bar = canvas.figure.colorbar(
         drawn, ax=canvas, label=f"{_QUANTITIES[quantity][1]} (white: none)"
     )

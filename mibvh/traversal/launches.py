@@ -147,10 +147,18 @@ class LanesFetch:
         t = dr.empty(mi.Float, self.count)
         triangle, *counts = (dr.empty(mi.UInt32, self.count) for _ in range(5))
         walk_wide(
-            records, self._rows, self._first, self._end, self._schedule.lanes,
-            dr.opaque(mi.UInt32, self._schedule.burst), t, triangle, counts,
-            count=count, any_hit=self._any_hit,
-        )  # fmt: skip
+            records,
+            self._rows,
+            self._first,
+            self._end,
+            self._schedule.lanes,
+            dr.opaque(mi.UInt32, self._schedule.burst),
+            t,
+            triangle,
+            counts,
+            count=count,
+            any_hit=self._any_hit,
+        )
         dr.eval(t, triangle, counts)
         inner, boxes, leaves, tests = counts
         return Visits(t, triangle, inner, leaves, tests, boxes)

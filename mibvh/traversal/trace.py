@@ -31,9 +31,14 @@ Lanes = Literal["simd", "scalar"]
 Style = str
 U32 = npt.NDArray[np.uint32]
 _COLUMNS = {
-    "t": "float32", "triangle": "int32", "inner": "uint32", "leaves": "uint32", "tests": "uint32",
-    "steps": "uint32", "boxes": "uint32",
-}  # fmt: skip
+    "t": "float32",
+    "triangle": "int32",
+    "inner": "uint32",
+    "leaves": "uint32",
+    "tests": "uint32",
+    "steps": "uint32",
+    "boxes": "uint32",
+}
 _ARRAYS = (*_COLUMNS, "seconds")
 #: What else a file of hits tells.
 _FACTS = {"lanes": str, "lane_width": int, "issued": int, "style": str}
@@ -317,11 +322,19 @@ class Tracer:
         seconds = np.array([self.run(records)[1].kernel for _ in range(repeats)])
         visits = Visits(*(self.fetch(column) for column in outputs if column is not None))
         return Hits(
-            (visits.t / self.unit).astype(np.float32), visits.triangle.view(np.int32),
-            visits.inner, visits.leaves, visits.tests, visits.inner + visits.tests, seconds,
-            self.lanes, self.width, self.launch.issued(records, visits), self.style,
+            (visits.t / self.unit).astype(np.float32),
+            visits.triangle.view(np.int32),
+            visits.inner,
+            visits.leaves,
+            visits.tests,
+            visits.inner + visits.tests,
+            seconds,
+            self.lanes,
+            self.width,
+            self.launch.issued(records, visits),
+            self.style,
             2 * visits.inner if visits.boxes is None else visits.boxes,
-        )  # fmt: skip
+        )
 
 
 @functools.lru_cache(maxsize=2)

@@ -201,8 +201,9 @@ def _visit(
             swap = near[b] < near[a]
             near[a], near[b] = smaller(near[a], near[b]), larger(near[a], near[b])
             entries[a], entries[b] = (
-                dr.select(swap, entries[b], entries[a]), dr.select(swap, entries[a], entries[b]),
-            )  # fmt: skip
+                dr.select(swap, entries[b], entries[a]),
+                dr.select(swap, entries[a], entries[b]),
+            )
     tested = mi.UInt32(0)
     for distance, entry in zip(reversed(near), reversed(entries), strict=True):
         todo = dr.select(distance < dr.inf, (todo << 4) | entry, todo)
