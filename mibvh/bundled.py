@@ -12,6 +12,7 @@ from typing import Any
 import platformdirs
 
 from mibvh.errors import MibvhError, did_you_mean
+from mibvh.files import make_folder
 from mibvh.loading import printable
 from mibvh.ranges import check
 
@@ -67,11 +68,13 @@ def make_scene(
         If there is no bundled scene of that name, or a number is out of range.
     """
     _check(name, triangles, seed)
+    make_folder(target)
     try:
-        target.mkdir(parents=True, exist_ok=True)
+        return Path(scenes_package().write(name, target, triangles, seed))
     except OSError as error:
-        raise MibvhError(f"{target}: cannot be made a folder ({error.strerror})") from None
-    return Path(scenes_package().write(name, target, triangles, seed))
+        raise MibvhError(
+            f"{target}: scene {name} cannot be written ({error.strerror or error})"
+        ) from error
 
 
 def _check(name: str, triangles: int | None, seed: int | None) -> None:

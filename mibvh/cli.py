@@ -7,13 +7,14 @@ or 2 with one sentence for a user's mistake.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib.util
 import json
 import os
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,10 +22,31 @@ import typer
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+from typer.core import TyperGroup
 
 from mibvh.errors import MibvhError
+from mibvh.heartbeat import Heartbeat
+
+#: Exit code of a command that Ctrl-C ended, as of any program that it ends.
+INTERRUPTED = 130
+
+
+class _Commands(TyperGroup):
+    """The commands; Ctrl-C ends them with a sentence rather than "Aborted!"."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            # What a study has finished is kept; others write their one file at the end.
+            goes_on = ctx.invoked_subcommand == "study"
+            said = "interrupted; the same command goes on" if goes_on else "interrupted"
+            sys.stderr.write(f"mibvh: {said}\n")
+            raise SystemExit(INTERRUPTED) from None
+
 
 app = typer.Typer(
+    cls=_Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -65,27 +87,37 @@ def _print(result: dict[str, Any], as_json: bool) -> None:
     Console().print(table)
 
 
-def _progress() -> Any:
-    """A progress bar on standard error, quiet where that is no terminal."""
+@contextlib.contextmanager
+def _progress() -> Iterator[Any]:
+    """A progress bar on standard error; where that is no terminal, a line every few seconds."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    return Progress(
+    terminal = sys.stderr.isatty()
+    bar = Progress(
         TextColumn("{task.description:<28}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f}%"),
         TimeRemainingColumn(),
         console=Console(stderr=True),
-        disable=not sys.stderr.isatty(),
+        disable=not terminal,
         transient=True,
     )
 
+    def say() -> None:
+        for task in bar.tasks[-1:]:
+            sys.stderr.write(f"mibvh: {task.description} ({task.percentage:.0f}%)\n")
 
-def _show(bar: Any, task: Any) -> Callable[[str, float], None]:
+    with bar, contextlib.nullcontext() if terminal else Heartbeat(say):
+        yield bar
+
+
+def _show(bar: Any, task: Any, what: str = "") -> Callable[[str, float], None]:
     """Show stages on a bar. Each has a time of its own: the last one's tells nothing of it."""
 
     def show(stage: str, done: float) -> None:
-        if bar.tasks[task].description != stage:
-            bar.reset(task, description=stage)
+        words = f"{what}: {stage}" if what else stage
+        if bar.tasks[task].description != words:
+            bar.reset(task, description=words)
         bar.update(task, completed=done)
 
     return show
@@ -180,7 +212,7 @@ def build_command(
         tree = build(
             triangles,
             builder,
-            progress=_show(bar, task),
+            progress=_show(bar, task, builder),
             **options,
         )
     tree.save(output)
@@ -538,10 +570,9 @@ def report(
     folder: Annotated[Path, typer.Argument(help="of a study")], as_json: Json = False
 ) -> None:
     """Remake a study's tables and report without measuring again."""
-    from mibvh.studies.run import read_study, write_outputs
+    from mibvh.studies.run import remake_report
 
-    found = read_study(folder)
-    write_outputs(found.folder, found.scenes)
+    found = remake_report(folder)
     _print({"report": str(found.report), "scenes": len(found.scenes)}, as_json)
 
 
@@ -714,6 +745,20 @@ def main() -> None:
             traceback.print_exception(error)
         sys.stderr.write(f"mibvh: {error}\n")
         raise SystemExit(2) from None
+    except OSError as error:
+        if os.environ.get("MIBVH_DEBUG"):
+            traceback.print_exception(error)
+        _say_refused(error)
+        raise SystemExit(2) from None
+
+
+def _say_refused(error: OSError) -> None:
+    """Say what the system refused: without a name, that is standard output."""
+    said = f"{error.filename}:" if error.filename else "standard output: cannot be written"
+    with contextlib.suppress(OSError):  # standard error may be full too
+        sys.stderr.write(f"mibvh: {said} ({error.strerror or error})\n")
+    with contextlib.suppress(OSError, ValueError):  # Python would try it again, and complain
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":
