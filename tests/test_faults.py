@@ -59,9 +59,7 @@ def made(tmp_path_factory):
 def test_a_full_disk(arguments, made, tmp_path):
     """A limit on the size of files acts as a full disk does, in the middle of writing."""
     names = {"T": made / "t.npz", "R": made / "r.npz"}
-    arguments = [
-        names.get(a, str(a).replace("OUT", str(tmp_path / "out"))) for a in arguments
-    ]
+    arguments = [names.get(a, str(a).replace("OUT", str(tmp_path / "out"))) for a in arguments]
     ended = mibvh_command(*arguments, most_bytes=1024)
     assert ended.returncode == 2, ended.stderr
     assert "cannot be written (File too large)" in ended.stderr
@@ -171,7 +169,9 @@ def test_compiling_is_told_apart_from_building(monkeypatch):
     monkeypatch.setattr(registry, "_warm", set())
     seen = []
     for _ in range(2):
-        mibvh.build(mibvh.load("cornell@1000"), "lbvh", progress=lambda stage, done: seen.append(stage))
+        mibvh.build(
+            mibvh.load("cornell@1000"), "lbvh", progress=lambda stage, done: seen.append(stage)
+        )
     assert seen[:2] == ["compiling", "building"]
     assert seen.count("compiling") == 1
 

@@ -128,7 +128,9 @@ def _label_points(axis: Axes, labels: Sequence[str], x: F64, y: F64) -> None:
             ends = np.stack([points[i], nearest]) / size * (high - low) + low
             axis.plot(ends[:, 0], ends[:, 1], color="#888888", lw=0.6, zorder=2)
         x_text, y_text = centre / size * (high - low) + low
-        axis.text(x_text, y_text, literal(labels[i]), fontsize=8, ha="center", va="center", zorder=4)
+        axis.text(
+            x_text, y_text, literal(labels[i]), fontsize=8, ha="center", va="center", zorder=4
+        )
 
 
 def _overlap(one: F64, many: F64) -> float:
