@@ -78,7 +78,7 @@ def test_a_study_on_a_full_disk_goes_on_after(tmp_path):
     assert ended.returncode == 2
     assert ended.stderr.splitlines()[-1].endswith("cannot be written (File too large)")
     assert "Traceback" not in ended.stderr
-    assert not [path for path in (tmp_path / "s").rglob(".*")]
+    assert not list((tmp_path / "s").rglob(".*"))
     ended = mibvh_command(*study)
     assert ended.returncode == 0, ended.stderr
     assert (tmp_path / "s" / "report.html").exists()
@@ -99,10 +99,15 @@ def test_standard_output_may_be_full():
 def test_what_was_there_stays_when_writing_fails(tmp_path):
     path = tmp_path / "kept.txt"
     write_text(path, "before")
-    with pytest.raises(mibvh.MibvhError, match=r"kept\.txt: cannot be written \(no room\)"):
+
+
+    def fails():
         with atomic_path(path) as temporary:
             temporary.write_text("half")
             raise OSError("no room")
+
+    with pytest.raises(mibvh.MibvhError, match=r"kept\.txt: cannot be written \(no room\)"):
+        fails()
     assert path.read_text() == "before"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -157,7 +162,7 @@ def test_an_interrupted_study_says_that_it_goes_on(tmp_path):
             if '"time scalar"' in line:
                 process.send_signal(signal.SIGINT)
                 break
-        out, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=60)
     assert err == "mibvh: interrupted; the same command goes on\n"
     assert process.returncode == 130
     assert not list((tmp_path / "cache").glob(".*"))

@@ -20,7 +20,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from mibvh._jit import njit
+from mibvh._jit import PARALLEL, njit
 from mibvh.builders.draft import References
 from mibvh.errors import MibvhError
 from mibvh.triangles import F32, Triangles
@@ -424,12 +424,14 @@ def presplit(triangles: Triangles, beta: float = 0.3) -> References:
     extent = whole.upper.max(axis=0).astype(np.float64) - origin
     scene: tuple[Any, ...] = (triangles.corners, whole.scale)
     boxes = pack_boxes(whole)
-    priorities = _priorities(*scene, boxes, origin, extent)
-    factor = _factor_for(priorities, math.floor(beta * n))
+    with PARALLEL:
+        priorities = _priorities(*scene, boxes, origin, extent)
+        factor = _factor_for(priorities, math.floor(beta * n))
     room = int(_splits_at(priorities, factor))
     boxes = np.concatenate([boxes, np.zeros((room, 8), np.float32)])
     triangle = np.concatenate([whole.triangle, np.zeros(room, np.int32)])
-    used = _split_all(*scene, boxes, triangle, priorities, factor, origin, extent)
+    with PARALLEL:
+        used = _split_all(*scene, boxes, triangle, priorities, factor, origin, extent)
     return References(
         boxes[:used, 0:3].copy(), -boxes[:used, 4:7], triangle[:used].copy(), whole.scale
     )

@@ -32,8 +32,8 @@ def from_json(kind: type[T], data: Any) -> T:
     Parameters
     ----------
     kind : type
-        A dict, or a dataclass whose fields are numbers, text, other dataclasses, and lists, tuples and
-        dicts of these.
+        A dict, or a dataclass whose fields are numbers, text, other dataclasses, and lists,
+        tuples and dicts of these.
     data
         As read by :mod:`json`.
 

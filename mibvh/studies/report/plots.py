@@ -92,7 +92,8 @@ def _strip(record: SceneRecord) -> float:
 def _legend(figure: Figure, axis: Axes) -> None:
     """Name an axis's curves in the strip below the panels, clear of all curves."""
     curves, names = axis.get_legend_handles_labels()
-    figure.legend(curves, names, loc="lower center", fontsize=7.5, ncols=min(max(len(names), 1), _NAMES),
+    columns = min(max(len(names), 1), _NAMES)
+    figure.legend(curves, names, loc="lower center", fontsize=7.5, ncols=columns,
                   columnspacing=1.3, handlelength=1.8, borderaxespad=0.2)  # fmt: skip
 
 
