@@ -17,14 +17,14 @@ from typing import Any
 import numba
 from numba.core.dispatcher import Dispatcher
 
-
 # GNU OpenMP kills a process that was forked after a parallel kernel ran, and with it the pools of
 # multiprocessing. The layers that survive a fork are TBB, where it is installed, and Numba's own.
 if numba.config.THREADING_LAYER == "default":
     numba.config.THREADING_LAYER = "forksafe"
 #: Held while a parallel kernel runs: Numba's own layer ends the process if two threads start one.
 PARALLEL = threading.RLock()
-os.register_at_fork(after_in_child=lambda: PARALLEL.__init__())  # type: ignore[misc]
+if hasattr(os, "register_at_fork"):  # whoever held it is not there after a fork
+    os.register_at_fork(after_in_child=PARALLEL._at_fork_reinit)  # type: ignore[attr-defined]
 
 
 def njit(

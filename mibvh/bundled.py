@@ -12,7 +12,7 @@ from typing import Any
 import platformdirs
 
 from mibvh.errors import MibvhError, did_you_mean
-from mibvh.files import make_folder
+from mibvh.files import make_folder, write_text
 from mibvh.loading import printable
 from mibvh.ranges import check
 
@@ -46,6 +46,31 @@ def _import_folder(name: str, path: Path) -> ModuleType:
     sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
+
+
+def copy_notebooks(target: Path) -> list[Path]:
+    """Copy the bundled notebooks into a folder; return them.
+
+    Parameters
+    ----------
+    target : Path
+        Made if it is not there.
+
+    Raises
+    ------
+    MibvhError
+        If a file of that name is there, or the folder cannot be written.
+    """
+    sources = sorted(folder("notebooks").glob("*.ipynb"))
+    if not sources:
+        raise MibvhError("the notebooks are missing from this installation")
+    copies = [make_folder(target) / source.name for source in sources]
+    for copy in copies:
+        if copy.exists():
+            raise MibvhError(f"{copy}: is there already; name another folder")
+    for source, copy in zip(sources, copies, strict=True):
+        write_text(copy, source.read_text(encoding="utf-8"))
+    return copies
 
 
 def make_scene(

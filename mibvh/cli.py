@@ -620,6 +620,21 @@ def predictors(as_json: Json = False) -> None:
 
 
 @app.command()
+def notebooks(
+    output: Annotated[Path, typer.Option("-o", "--output", help="folder to copy them into")],
+    as_json: Json = False,
+) -> None:
+    """Copy the notebooks, which come with mibvh, to where they can be run."""
+    from mibvh.bundled import copy_notebooks
+
+    copied = [str(path) for path in copy_notebooks(output)]
+    if as_json:
+        typer.echo(json.dumps({"notebooks": copied}))
+        return
+    typer.echo("\n".join(copied))
+
+
+@app.command()
 def doctor(as_json: Json = False) -> None:
     """Tell what this machine has, and what to install."""
     from mibvh.environment import doctor as look

@@ -100,7 +100,6 @@ def test_what_was_there_stays_when_writing_fails(tmp_path):
     path = tmp_path / "kept.txt"
     write_text(path, "before")
 
-
     def fails():
         with atomic_path(path) as temporary:
             temporary.write_text("half")
