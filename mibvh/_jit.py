@@ -9,7 +9,6 @@ import os
 import shutil
 import stat
 import tempfile
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,14 +16,31 @@ from typing import Any
 import numba
 from numba.core.dispatcher import Dispatcher
 
-# GNU OpenMP kills a process that was forked after a parallel kernel ran, and with it the pools of
-# multiprocessing. The layers that survive a fork are TBB, where it is installed, and Numba's own.
-if numba.config.THREADING_LAYER == "default":
-    numba.config.THREADING_LAYER = "forksafe"
-#: Held while a parallel kernel runs: Numba's own layer ends the process if two threads start one.
-PARALLEL = threading.RLock()
-if hasattr(os, "register_at_fork"):  # whoever held it is not there after a fork
-    os.register_at_fork(after_in_child=PARALLEL._at_fork_reinit)  # type: ignore[attr-defined]
+#: The process that ran the first parallel kernel.
+_parallel_process: int | None = None
+
+
+def in_parallel(kernel: Any, *arguments: Any) -> Any:
+    """Call a kernel that was compiled with ``parallel=True``.
+
+    GNU OpenMP ends a process that was forked after a parallel kernel ran: there, the same code
+    runs on one thread, compiled anew.
+    """
+    global _parallel_process
+    if _parallel_process is None:
+        _parallel_process = os.getpid()
+    if os.getpid() != _parallel_process and numba.threading_layer() == "omp":
+        return _on_one_thread(kernel)(*arguments)
+    return kernel(*arguments)
+
+
+@functools.cache
+def _on_one_thread(kernel: Dispatcher) -> Dispatcher:
+    # Not kept: Numba would take the one for the other.
+    options = {**kernel.targetoptions, "parallel": False}
+    return numba.njit(**{k: v for k, v in options.items() if k not in ("nopython", "boundscheck")})(
+        kernel.py_func
+    )
 
 
 def njit(

@@ -80,7 +80,7 @@ assert all(np.array_equal(a.lower, b.lower) for a, b in zip(alone * 6, found))
 
 @pytest.mark.parametrize("program", [FORKED, THREADS], ids=["forked", "threads"])
 def test_builders_run_in_a_forked_process_and_in_several_threads(program):
-    """GNU OpenMP kills the forked process; Numba's own threads end one that starts two kernels."""
+    """GNU OpenMP ends a process that was forked after it ran."""
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_THREADING_LAYER"}
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True,
                            timeout=300, check=False,
