@@ -102,7 +102,12 @@ def truth(triangles: Any, rays: Any) -> tuple[F64, npt.NDArray[np.bool_]]:
 
 
 def near(
-    what: str, found: F64, wanted: F64, sure: npt.NDArray[np.bool_], extent: float, where: str
+    what: str,
+    found: npt.NDArray[Any],
+    wanted: F64,
+    sure: npt.NDArray[np.bool_],
+    extent: float,
+    where: str,
 ) -> None:
     """Fail unless distances agree where there is no doubt."""
     with np.errstate(invalid="ignore"):
