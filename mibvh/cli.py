@@ -111,6 +111,11 @@ def _progress() -> Iterator[Any]:
         yield bar
 
 
+def _doing(what: str) -> Heartbeat:
+    """Say every few seconds what a command is at that has no progress to tell."""
+    return Heartbeat(lambda: typer.echo(f"mibvh: {what} ...", err=True))
+
+
 def _show(bar: Any, task: Any, what: str = "") -> Callable[[str, float], None]:
     """Show stages on a bar. Each has a time of its own: the last one's tells nothing of it."""
 
@@ -127,7 +132,8 @@ def _load(source: str, define: list[str] | None = None) -> Any:
     """Load a scene, and say on standard error what could not be taken over as it is."""
     from mibvh import load
 
-    scene = load(source, _parse_pairs(define or [], "-D"))
+    with _doing(f"loading {source}"):
+        scene = load(source, _parse_pairs(define or [], "-D"))
     for note in scene.notes:
         typer.echo(f"mibvh: {scene.name}: {note}", err=True)
     return scene
@@ -406,10 +412,11 @@ def trace(
     from mibvh.traversal.trace import trace as run
 
     triangles = _load(scene, define).triangles
-    hits = run(
-        Tree.load(tree), triangles, read_rays(rays), lanes,  # type: ignore[arg-type]
-        style=style, cull=cull, any_hit=any_hit or None, repeats=repeats,
-    )  # fmt: skip
+    with _doing("tracing"):
+        hits = run(
+            Tree.load(tree), triangles, read_rays(rays), lanes,  # type: ignore[arg-type]
+            style=style, cull=cull, any_hit=any_hit or None, repeats=repeats,
+        )  # fmt: skip
     if output:
         hits.save(output)
     _print(hits.summary(), as_json)
@@ -572,7 +579,8 @@ def report(
     """Remake a study's tables and report without measuring again."""
     from mibvh.studies.run import remake_report
 
-    found = remake_report(folder)
+    with _doing("writing the report"):
+        found = remake_report(folder)
     _print({"report": str(found.report), "scenes": len(found.scenes)}, as_json)
 
 
@@ -710,10 +718,11 @@ def scenes_make(
 
     made = {}
     for name in names or list(scenes_package().CATALOGUE):
-        if output is None:
-            made[name] = str(bundled_scene(name, triangles, seed))
-        else:
-            made[name] = str(make_scene(name, output / name, triangles, seed))
+        with _doing(f"making {name}"):
+            if output is None:
+                made[name] = str(bundled_scene(name, triangles, seed))
+            else:
+                made[name] = str(make_scene(name, output / name, triangles, seed))
         if not as_json:
             typer.echo(made[name])
     if as_json:
@@ -732,7 +741,7 @@ def scenes_show(
     from mibvh.picture import picture, png
 
     scene = _load(name, define)
-    with atomic_path(output) as path:
+    with _doing("rendering"), atomic_path(output) as path:
         path.write_bytes(png(picture(scene)))
     _print(
         {"scene": scene.name, "triangles": len(scene.triangles), "picture": str(output)}, as_json

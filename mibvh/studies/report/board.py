@@ -62,13 +62,15 @@ class Board:
         with self._lock:
             step, now = self._step, time.monotonic()
             if step is None or step.done == 1.0:
-                return
-            left = self._time_left(step.scene, now)
+                stage = "report" if self._finished == self._scenes else "load"
+                step, left = Progress("", "", stage, None, 0.0), _Left(None, None)
+            else:
+                left = self._time_left(step.scene, now)
             if self._lines:
                 self._write(step, left, now)
             else:
                 more = f", {_clock(left.scene)}" if left.scene else ""
-                sys.stderr.write(f"{step.scene}: {step} ({step.done:.0%}{more})\n")
+                sys.stderr.write(f"{step.scene or 'study'}: {step} ({step.done:.0%}{more})\n")
 
     def __call__(self, step: Progress) -> None:
         """Note that a step is reached."""
