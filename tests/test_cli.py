@@ -226,14 +226,14 @@ def test_scenes_make_and_show(cli, tmp_path):
 
 
 def test_a_new_stage_has_time_left():
-    bar = _progress()
-    task = bar.add_task("build", total=1.0)
-    show = _show(bar, task)
-    show("sort", 1.0)
-    assert bar.tasks[task].finished
-    show("split", 0.25)
-    assert not bar.tasks[task].finished
-    assert (bar.tasks[task].description, bar.tasks[task].completed) == ("split", 0.25)
+    with _progress() as bar:
+        task = bar.add_task("build", total=1.0)
+        show = _show(bar, task)
+        show("sort", 1.0)
+        assert bar.tasks[task].finished
+        show("split", 0.25)
+        assert not bar.tasks[task].finished
+        assert (bar.tasks[task].description, bar.tasks[task].completed) == ("split", 0.25)
 
 
 def test_json_is_alone_on_standard_output(tmp_path):

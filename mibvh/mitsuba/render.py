@@ -218,7 +218,7 @@ def _write_exr(mi: Any, image: npt.NDArray[np.float32], plugin: Any, path: Path)
     threads = dr.thread_count()
     dr.set_thread_count(max(threads, 2))  # on one thread, Mitsuba waits for itself for ever
     try:
-        bitmap.write(str(path), mi.Bitmap.FileFormat.OpenEXR)
+        path.write_bytes(_encoded(mi, bitmap, mi.Bitmap.FileFormat.OpenEXR))
     finally:
         dr.set_thread_count(threads)
 
@@ -243,4 +243,11 @@ def _write_png(
     colours = image.shape[2] - len(plugin.aov_names())
     shown = image[..., : 3 if colours >= 3 else 1]
     bitmap = mi.util.convert_to_bitmap(np.ascontiguousarray(shown))
-    bitmap.write(str(path), mi.Bitmap.FileFormat.PNG)
+    path.write_bytes(_encoded(mi, bitmap, mi.Bitmap.FileFormat.PNG))
+
+
+def _encoded(mi: Any, bitmap: Any, kind: Any) -> bytes:
+    """Return an image file's bytes. Mitsuba itself does not say why a disk takes no more."""
+    stream = mi.MemoryStream()
+    bitmap.write(stream, kind)
+    return bytes(stream.raw_buffer())

@@ -54,6 +54,11 @@ def builder_colour(place: int) -> str:
     return COLOURS[place % len(COLOURS)]
 
 
+def literal(name: str) -> str:
+    """Return a name so that matplotlib writes it as it is: a pair of ``$`` begins no formula."""
+    return name.replace("$", r"\$")
+
+
 def named_points(
     axis: Axes,
     names: Sequence[str],
@@ -123,7 +128,9 @@ def _label_points(axis: Axes, labels: Sequence[str], x: F64, y: F64) -> None:
             ends = np.stack([points[i], nearest]) / size * (high - low) + low
             axis.plot(ends[:, 0], ends[:, 1], color="#888888", lw=0.6, zorder=2)
         x_text, y_text = centre / size * (high - low) + low
-        axis.text(x_text, y_text, labels[i], fontsize=8, ha="center", va="center", zorder=4)
+        axis.text(
+            x_text, y_text, literal(labels[i]), fontsize=8, ha="center", va="center", zorder=4
+        )
 
 
 def _overlap(one: F64, many: F64) -> float:
@@ -152,7 +159,7 @@ def depth_curves(
             lw=1.5,
             color=builder_colour(i),
             ls=_DASHES[i % len(_DASHES)],
-            label=label,
+            label=literal(label),
             gid=gids[i] if gids else None,
         )
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
