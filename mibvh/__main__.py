@@ -1,5 +1,5 @@
 """``python -m mibvh``."""
 
-from mibvh.cli import main
+from mibvh.cli import entry
 
-main()
+entry()

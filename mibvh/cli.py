@@ -759,9 +759,14 @@ def _keep_stdout_for_results() -> None:
     sys.stdout = os.fdopen(results, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)
 
 
-def main() -> None:
-    """Entry point of the ``mibvh`` command."""
+def entry() -> None:
+    """Entry point of the ``mibvh`` command, in a process of its own."""
     _keep_stdout_for_results()
+    main()
+
+
+def main() -> None:
+    """Run the command line."""
     try:
         app()
     except MibvhError as error:
@@ -786,4 +791,4 @@ def _say_refused(error: OSError) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    entry()
