@@ -56,7 +56,7 @@ import os, sys
 import numpy as np
 import mibvh
 corners = np.random.default_rng(0).random((4000, 3, 3)).astype(np.float32)
-builders = ("bbvh", "sbvh", "treelet", "streelet")
+builders = ("bbvh", "streelet")
 before = [mibvh.build(corners, name) for name in builders]
 child = os.fork()
 if child == 0:
@@ -70,11 +70,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import mibvh
 corners = np.random.default_rng(0).random((3000, 3, 3)).astype(np.float32)
-builders = ("bbvh", "sbvh", "treelet", "streelet")
+builders = ("bbvh", "streelet")
 alone = [mibvh.build(corners, name) for name in builders]
 with ThreadPoolExecutor(8) as pool:
-    found = list(pool.map(lambda name: mibvh.build(corners, name), builders * 6))
-assert all(np.array_equal(a.lower, b.lower) for a, b in zip(alone * 6, found))
+    found = list(pool.map(lambda name: mibvh.build(corners, name), builders * 8))
+assert all(np.array_equal(a.lower, b.lower) for a, b in zip(alone * 8, found))
 """
 
 
@@ -83,6 +83,6 @@ def test_builders_run_in_a_forked_process_and_in_several_threads(program):
     """GNU OpenMP ends a process that was forked after it ran."""
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_THREADING_LAYER"}
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True,
-                           timeout=300, check=False,
+                           timeout=1200, check=False,
                            env={**environment, "NUMBA_NUM_THREADS": "2"})  # fmt: skip
     assert ended.returncode == 0, ended.stderr

@@ -20,7 +20,7 @@ from mibvh.studies.run import remake_report
 from tools.fuzz.mutate import VALUES, Random, damaged
 
 CHOICES: Any = {
-    "builders": ("lbvh", "bbvh", "sbvh"), "width": 12, "height": 8, "scalar_rays": 64,
+    "builders": ("lbvh", "bbvh"), "width": 12, "height": 8, "scalar_rays": 64,
     "seconds": 0.0, "seed": 3,
 }  # fmt: skip
 SCENE = "cornell@300"

@@ -60,7 +60,7 @@ def soup(rng: Random) -> tuple[str, Any]:
     corners = rng.random((count, 1, 3)) + rng.normal(size=(count, 3, 3)) * rng.choice([0.02, 0.3])
     kind = str(rng.choice(["soup", "points", "slivers", "sheet", "copies", "layers", "far"]))
     if kind == "points":
-        corners[rng.random(count) < 0.5, 1:] = corners[rng.random(count) < 0.5][:1, :1].mean()
+        corners[rng.random(count) < 0.5, 1:] = corners[0, 0]
     elif kind == "slivers":
         corners[:, 2] = corners[:, 1] + rng.normal(size=(count, 3)) * 1e-6
     elif kind == "sheet":

@@ -1,0 +1,65 @@
+"""The mutators of soups and pieces find what they are for: some cases, and planted faults."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mibvh
+
+_ROOT = str(Path(__file__).resolve().parent.parent)
+if _ROOT not in sys.path:
+    sys.path.insert(0, _ROOT)
+
+from tools.fuzz import pieces, soups  # noqa: E402
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    """Return a bench of one builder: others take long to compile."""
+    monkeypatch.setattr(soups, "names", lambda: ["lbvh"])
+    monkeypatch.setattr(soups, "STYLES", ("single",))
+    return soups.Soups()
+
+
+def test_soups_end_well(bench):
+    found = {bench.run(seed) for seed in range(60)}
+    assert found == {"soup", "points", "slivers", "sheet", "copies", "layers", "far"}
+
+
+@pytest.mark.parametrize("part", ["trace", "mitsuba"])
+def test_wrong_distances_are_found(bench, monkeypatch, part):
+    if part == "mitsuba":
+        true = soups.mitsuba_t
+        monkeypatch.setattr(soups, "mitsuba_t", lambda *given: true(*given) * 1.01)
+        said = "wrong Mitsuba's hits"
+    else:
+        trace = mibvh.trace
+
+        def wrong(tree, *given, **options):
+            hits = trace(tree, *given, **options)
+            return hits if tree.depth == 0 else hits.__class__(
+                np.nextafter(hits.t, np.float32(0)), *list(vars(hits).values())[1:]
+            )  # fmt: skip
+
+        monkeypatch.setattr(mibvh, "trace", wrong)
+        said = "wrong hits of lbvh"
+    with pytest.raises(AssertionError, match=said):
+        list(map(bench.run, range(20)))
+
+
+def test_pieces_end_well_and_a_file_outside_is_noticed(monkeypatch):
+    bench = pieces.Pieces()
+    found = {bench.run(seed) for seed in range(4)}
+    assert found & {"hostile refused", "hostile reported"}
+    assert "damaged made whole" in found
+
+    def careless(folder):
+        (Path(folder).parent / "elsewhere").touch()
+
+    monkeypatch.setattr(pieces, "remake_report", careless)
+    with pytest.raises(AssertionError, match="something outside the folder changed"):
+        bench.run(0)
