@@ -17,6 +17,7 @@ import numpy as np
 from mibvh.builders.draft import Draft
 from mibvh.builders.finish import finish
 from mibvh.errors import MibvhError
+from mibvh.measures import Area, Measure
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles, as_triangles
 from mibvh.version import __version__
@@ -76,9 +77,25 @@ class Context:
     ----------
     progress : callable
         Called as ``progress(stage, done)`` with ``done`` from 0 to 1.
+    measure : Measure
+        What a box costs.
+    source : object
+        What the build was handed: a scene, where there is one, can trace rays.
     """
 
     progress: Callable[[str, float], None] = lambda stage, done: None
+    measure: Measure = Area()
+    source: Any = None
+
+    def compiled_measure(self, scale: float) -> Any:
+        """Return the measure as kernels take it: None for the area, otherwise a tuple.
+
+        Parameters
+        ----------
+        scale : float
+            From scene to builder units (:attr:`References.scale`).
+        """
+        return self.measure.compiled(scale)
 
     def start(self, triangles: Any, name: str, options: Options) -> Draft:
         """Build the draft an optimiser starts from, with the optimiser's cost constants."""
@@ -119,7 +136,8 @@ class Builder:
     def fingerprint(self) -> str:
         """Hash of the builder's code: a tree kept for an older version of it is not this one's."""
         if self.name in _BUNDLED:
-            files = sorted(Path(__file__).parent.glob("*.py"))
+            package = Path(__file__).parent.parent
+            files = sorted(f for room in ("builders", "measures") for f in (package / room).glob("*.py"))
             text = b"".join(path.read_bytes() for path in files)
         else:
             source = inspect.getsourcefile(self.function)
@@ -239,6 +257,7 @@ def build(
     builder: str = "bbvh",
     *,
     progress: Callable[[str, float], None] | None = None,
+    measure: Measure | None = None,
     **options: Any,
 ) -> Tree:
     """Build a tree.
@@ -251,6 +270,9 @@ def build(
         A name from :func:`names`.
     progress : callable, optional
         Called as ``progress(stage, done)`` with ``done`` from 0 to 1.
+    measure : Measure, optional
+        What a box costs: ``Area()``, as in the papers, by default; ``Flux(segments)``, or one of
+        your own (:mod:`mibvh.measures`).
     **options
         The builder's options; ``max_leaf``, ``c_inner`` and ``c_tri`` are common to all.
 
@@ -265,7 +287,7 @@ def build(
         For an unknown builder or an impossible option, or where a builder of the user's own made
         no sound tree.
     """
-    triangles = as_triangles(triangles)
+    source, triangles = triangles, as_triangles(triangles)
     entry = get(builder)
     known = {f.name for f in dataclasses.fields(entry.options)}
     if unknown := sorted(set(options) - known):
@@ -273,7 +295,7 @@ def build(
             f"builder {builder} has no option {unknown[0]!r}; it has: {', '.join(sorted(known))}"
         )
     chosen = entry.options(**options)
-    context = Context(progress) if progress else Context()
+    context = Context(progress or Context.progress, measure or Area(), source)
     _warm_up(builder)
     started = time.perf_counter()
     draft = entry.draft(triangles, chosen, context)
@@ -293,6 +315,7 @@ def build(
         c_tri=chosen.c_tri,
         max_leaf=chosen.max_leaf,
         meta=meta,
+        measure=draft.measure or context.compiled_measure(draft.references.scale),
     )
     meta = {**tree.meta, "build_seconds": time.perf_counter() - started}
     # The tests see to it that the paper's builders make sound trees.
