@@ -18,16 +18,14 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft
+from mibvh.builders.measured import exact_cost_of
 from mibvh.builders.simd import (
-    coordinate,
-    half_area_exact,
     load,
     load_corners,
     store,
     store_corners,
     union,
 )
-from mibvh.measures.boxes import of_corners
 from mibvh.tree import MAX_DEPTH, Tree
 from mibvh.triangles import F32, I32
 
@@ -66,17 +64,6 @@ def _drop_repeats(ids, first, count):
             kept -= 1
             run[kept] = run[i]
     return first + np.uint64(kept)
-
-
-@njit
-def _measured(measure, box):
-    """Measure of a box in a register, float64."""
-    if measure is None:
-        return half_area_exact(box)
-    return of_corners(
-        measure, coordinate(box, 0), coordinate(box, 1), coordinate(box, 2),
-        -coordinate(box, 4), -coordinate(box, 5), -coordinate(box, 6),
-    )  # fmt: skip
 
 
 @njit
@@ -139,7 +126,7 @@ def _walk(
         # A leaf: the finished subtree is one reference.
         r = np.uint64(reference[node])
         box = load_corners(lower, upper, r)
-        area = _measured(measure, box)
+        area = exact_cost_of(measure, box)
         cost = c_tri * area
         written -= one
         ids[written] = triangle[r]
@@ -155,7 +142,7 @@ def _walk(
             out_left[place + one], out_first[place + one] = rest_of[top, 0], rest_of[top, 1]
             out_count[place + one] = rest_of[top, 2]
             box = union(box, other)
-            area = _measured(measure, box)
+            area = exact_cost_of(measure, box)
             cost = cost_of[top] + cost + c_inner * area
             child, count = np.int32(place), count + rest_of[top, 2]
             height = max(height, rest_of[top, 3]) + np.int32(1)
