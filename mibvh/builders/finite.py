@@ -135,7 +135,9 @@ class _Search:
         self.common: dict[str, Any] = {
             name: getattr(options, name) for name in ("c_inner", "c_tri", "max_leaf")
         }
-        self.insertion = InsertionOptions(**self.common)
+        # Beyond, a batch gains less than local minima differ.
+        tolerance = 1e-4 if options.effort < 3 else 1e-6
+        self.insertion = InsertionOptions(**self.common, tolerance=tolerance)
         self.by_area = dataclasses.replace(context, measure=Area())
         self.start = self.by_area.start(triangles, "sbvh", options)
         self.scale = self.start.references.scale

@@ -97,9 +97,11 @@ class Flux:
         """Return what kernels take; see :meth:`Measure.compiled`."""
         planes = (self.plane_positions.astype(np.float64) * scale).astype(np.float32)
         cells, lookup = lookup_of(planes)
+        inverse = np.ones_like(planes)
+        inverse[:, :-1] = 1.0 / np.diff(planes.astype(np.float64), axis=1)
         whole = box_area(self.bounds * scale)
         return FluxTables(
-            self._table, planes.reshape(-1), cells, lookup, planes.shape[1],
+            self._table, planes.reshape(-1), inverse.reshape(-1), cells, lookup, planes.shape[1],
             float(self.area_weight), whole / len(self.rays),
         )  # fmt: skip
 

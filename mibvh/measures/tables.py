@@ -32,7 +32,7 @@ from mibvh._jit import njit
 from mibvh.triangles import F32, F64
 
 #: Cells per axis of the lookup from a coordinate to the plane below it.
-CELLS = 512
+CELLS = 4096
 
 
 class FluxTables(NamedTuple):
@@ -44,6 +44,8 @@ class FluxTables(NamedTuple):
         ``T_c`` at each crossing of three planes; whole numbers.
     planes : (3 * P,) float32
         In builder units, rising along each axis.
+    inverse : (3 * P,) float32
+        One over the distance to the next plane.
     cells : (3 * CELLS,) int32
         The last plane at or below the beginning of each cell of equal size; 0 for the first.
     lookup : (6,) float32
@@ -57,6 +59,7 @@ class FluxTables(NamedTuple):
 
     table: F32
     planes: F32
+    inverse: F32
     cells: Any
     lookup: F32
     count: int
@@ -77,9 +80,7 @@ def _plane_below(tables, axis, value):
     # A rounding may have put the coordinate into the next cell.
     while plane > 0 and tables.planes[first + plane] > value:
         plane -= 1
-    low = np.float64(tables.planes[first + plane])
-    high = np.float64(tables.planes[first + plane + 1])
-    share = (np.float64(value) - low) / (high - low)
+    share = np.float64(value - tables.planes[first + plane]) * tables.inverse[first + plane]
     return plane, min(max(share, 0.0), 1.0)
 
 
