@@ -65,7 +65,8 @@ class FiniteOptions(Options):
         0.1, "weight of the area; more is safer for rays that are not known", 0.0, 1e6
     )
     unseen: bool = option(
-        False, "build for other viewpoints of the same scene: choose area_weight by cross-validation"
+        False,
+        "build for other viewpoints of the same scene: choose area_weight by cross-validation",
     )
     budget: float = option(
         1.0, "references added at most, per triangle; 0 splits none after `sbvh`", 0.0, 8.0
@@ -159,9 +160,7 @@ class _Search:
         if self.options.effort > 1:
             starts["area"] = self.start
         drafts = {
-            name: dataclasses.replace(
-                reinserted(start, self.insertion, context), measure=compiled
-            )
+            name: dataclasses.replace(reinserted(start, self.insertion, context), measure=compiled)
             for name, start in starts.items()
         }
         costs = {name: self.cost(draft, segments) for name, draft in drafts.items()}

@@ -74,8 +74,8 @@ class InsertionOptions(Options):
 
 # Rows: (n, 16) float32. Row r > 0 is an inner node; half of it (8 words) describes a child:
 # lower corner, upper corner, its measure unless that is the area, and as an integer the child's
-# row, or ~reference if it is a leaf. Entry 2 * r + side names such a half. Row 0 stands above the root, which is
-# entry 0, so that the root needs no special care. ``up[r]`` is the entry of row r.
+# row, or ~reference if it is a leaf. Entry 2 * r + side names such a half. Row 0 stands above the
+# root, which is entry 0, so that the root needs no special care. ``up[r]`` is the entry of row r.
 
 
 @njit
@@ -404,9 +404,7 @@ class _Optimiser:
 
     def __init__(self, draft: Draft, options: InsertionOptions, measure: Any = None) -> None:
         boxes = draft_boxes(draft)
-        self.rows, self.up = _rows_of(
-            draft.left, draft.right, draft.reference, boxes, measure
-        )
+        self.rows, self.up = _rows_of(draft.left, draft.right, draft.reference, boxes, measure)
         self.measure = measure
         n = len(self.rows)
         self.options = options

@@ -354,7 +354,19 @@ def best_plane(measure, corners, scale, lists, first, n, slack, count, whole, li
         bounds[k] = limit
         if low <= high:
             bounds[k], _, spans[k, 0], spans[k, 1] = _sweep_planes(
-                measure, n, slack, count, k * most, low, high, limit, bin_box, bin_cut, begins, ends, areas
+                measure,
+                n,
+                slack,
+                count,
+                k * most,
+                low,
+                high,
+                limit,
+                bin_box,
+                bin_cut,
+                begins,
+                ends,
+                areas,
             )
     while True:
         k = 0 if bounds[0] <= bounds[1] else 1

@@ -69,6 +69,9 @@ class Options:
                 raise MibvhError(f"option {field.name} must be from {low} to {high}, not {value}")
 
 
+_AREA = Area()
+
+
 @dataclasses.dataclass(frozen=True)
 class Context:
     """What a builder may ask of its surroundings while it runs.
@@ -84,7 +87,7 @@ class Context:
     """
 
     progress: Callable[[str, float], None] = lambda stage, done: None
-    measure: Measure = Area()
+    measure: Measure = _AREA
     source: Any = None
 
     def compiled_measure(self, scale: float) -> Any:
@@ -137,7 +140,9 @@ class Builder:
         """Hash of the builder's code: a tree kept for an older version of it is not this one's."""
         if self.name in _BUNDLED or self.name in _LATER:
             package = Path(__file__).parent.parent
-            files = sorted(f for room in ("builders", "measures") for f in (package / room).glob("*.py"))
+            files = sorted(
+                f for room in ("builders", "measures") for f in (package / room).glob("*.py")
+            )
             text = b"".join(path.read_bytes() for path in files)
         else:
             source = inspect.getsourcefile(self.function)
@@ -313,7 +318,7 @@ def build(
             f"builder {builder} has no option {unknown[0]!r}; it has: {', '.join(sorted(known))}"
         )
     chosen = entry.options(**options)
-    context = Context(progress or Context.progress, measure or Area(), source)
+    context = Context(progress or Context.progress, measure or _AREA, source)
     _warm_up(builder)
     started = time.perf_counter()
     draft = entry.draft(triangles, chosen, context)

@@ -197,7 +197,21 @@ def _unsplit(measure, lists, both, n_left, n_right, rows, side, parts, halves):
 
 @njit(allocates=False)
 def _spatial_split(
-    measure, corners, scale, lists, first, n, slack, first_id, axis, plane, limit, side, parts, halves, bins
+    measure,
+    corners,
+    scale,
+    lists,
+    first,
+    n,
+    slack,
+    first_id,
+    axis,
+    plane,
+    limit,
+    side,
+    parts,
+    halves,
+    bins,
 ):
     """Split a node at a plane, if that is possible and costs less than ``limit``.
 
@@ -392,7 +406,9 @@ def _split_node(measure, corners, scale, rules, lists, side, areas, task, childr
 
 
 @njit
-def _run(measure, corners, scale, rules, lists, side, left, right, reference, task, once, children, tally):
+def _run(
+    measure, corners, scale, rules, lists, side, left, right, reference, task, once, children, tally
+):
     """Build all below a node, or split it only once.
 
     Parameters

@@ -46,4 +46,4 @@ class Area:
 
     def compiled(self, scale: float) -> None:
         """Return None: kernels compute the area themselves."""
-        return None
+        return

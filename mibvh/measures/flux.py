@@ -98,7 +98,9 @@ class Flux:
         planes = (self.plane_positions.astype(np.float64) * scale).astype(np.float32)
         cells, lookup = lookup_of(planes)
         inverse = np.ones_like(planes)
-        inverse[:, :-1] = 1.0 / np.diff(planes.astype(np.float64), axis=1)
+        apart = np.diff(planes.astype(np.float64), axis=1)
+        inverse[:, :-1] = 1.0 / np.maximum(apart, 1e-38)
+        inverse = np.nextafter(inverse, np.float32(np.inf))  # a plane is all the way to itself
         whole = box_area(self.bounds * scale)
         return FluxTables(
             self._table, planes.reshape(-1), inverse.reshape(-1), cells, lookup, planes.shape[1],

@@ -117,27 +117,13 @@ def touched(tables, x0, y0, z0, x1, y1, z1):
     y_low, y_high = np.uint64(j0) * step_y, np.uint64(j1) * step_y
     z_low, z_high = np.uint64(8 * k0), np.uint64(8 * k1)
     total = _at_corner(table, x_low + y_low + z_low, step_x, step_y, u0, v0, w0)
-    total += _at_corner(
-        table, x_low + y_low + z_high + np.uint64(1), step_x, step_y, u0, v0, w1
-    )
-    total += _at_corner(
-        table, x_low + y_high + z_low + np.uint64(2), step_x, step_y, u0, v1, w0
-    )
-    total += _at_corner(
-        table, x_low + y_high + z_high + np.uint64(3), step_x, step_y, u0, v1, w1
-    )
-    total += _at_corner(
-        table, x_high + y_low + z_low + np.uint64(4), step_x, step_y, u1, v0, w0
-    )
-    total += _at_corner(
-        table, x_high + y_low + z_high + np.uint64(5), step_x, step_y, u1, v0, w1
-    )
-    total += _at_corner(
-        table, x_high + y_high + z_low + np.uint64(6), step_x, step_y, u1, v1, w0
-    )
-    total += _at_corner(
-        table, x_high + y_high + z_high + np.uint64(7), step_x, step_y, u1, v1, w1
-    )
+    total += _at_corner(table, x_low + y_low + z_high + np.uint64(1), step_x, step_y, u0, v0, w1)
+    total += _at_corner(table, x_low + y_high + z_low + np.uint64(2), step_x, step_y, u0, v1, w0)
+    total += _at_corner(table, x_low + y_high + z_high + np.uint64(3), step_x, step_y, u0, v1, w1)
+    total += _at_corner(table, x_high + y_low + z_low + np.uint64(4), step_x, step_y, u1, v0, w0)
+    total += _at_corner(table, x_high + y_low + z_high + np.uint64(5), step_x, step_y, u1, v0, w1)
+    total += _at_corner(table, x_high + y_high + z_low + np.uint64(6), step_x, step_y, u1, v1, w0)
+    total += _at_corner(table, x_high + y_high + z_high + np.uint64(7), step_x, step_y, u1, v1, w1)
     return max(total, 0.0)
 
 
@@ -148,9 +134,7 @@ def touched_share(tables, x0, y0, z0, x1, y1, z1):
     y = np.float64(y1) - np.float64(y0)
     z = np.float64(z1) - np.float64(z0)
     area = x * y + (x + y) * z
-    return tables.area_weight * area + tables.share_weight * touched(
-        tables, x0, y0, z0, x1, y1, z1
-    )
+    return tables.area_weight * area + tables.share_weight * touched(tables, x0, y0, z0, x1, y1, z1)
 
 
 # ------------------------------------------------------------------ making them

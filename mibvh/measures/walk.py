@@ -32,14 +32,20 @@ def _begin(lower, upper, node, o, inverse, t):
 @njit(allocates=False)
 def _hit(corners, triangle, o, d, t):
     """Distance at which a ray hits a triangle, from either side; ``t`` if not before that."""
-    ax, ay, az = np.float64(corners[triangle, 0, 0]), np.float64(corners[triangle, 0, 1]), (
-        np.float64(corners[triangle, 0, 2])
+    ax, ay, az = (
+        np.float64(corners[triangle, 0, 0]),
+        np.float64(corners[triangle, 0, 1]),
+        (np.float64(corners[triangle, 0, 2])),
     )
-    ux, uy, uz = corners[triangle, 1, 0] - ax, corners[triangle, 1, 1] - ay, (
-        corners[triangle, 1, 2] - az
+    ux, uy, uz = (
+        corners[triangle, 1, 0] - ax,
+        corners[triangle, 1, 1] - ay,
+        (corners[triangle, 1, 2] - az),
     )
-    vx, vy, vz = corners[triangle, 2, 0] - ax, corners[triangle, 2, 1] - ay, (
-        corners[triangle, 2, 2] - az
+    vx, vy, vz = (
+        corners[triangle, 2, 0] - ax,
+        corners[triangle, 2, 1] - ay,
+        (corners[triangle, 2, 2] - az),
     )
     px, py, pz = d[1] * vz - d[2] * vy, d[2] * vx - d[0] * vz, d[0] * vy - d[1] * vx
     determinant = ux * px + uy * py + uz * pz
