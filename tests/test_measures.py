@@ -76,7 +76,8 @@ def test_counts_are_exact_where_no_start_is_on_a_plane():
     # Planes of other rays: quantiles of these have no start of those on them.
     other = Flux(segments(seed=9, kind="room"), planes=20)
     planes = other.plane_positions.copy()
-    planes[:, [0, -1]] = flux.plane_positions[:, [0, -1]]
+    planes[:, 0] = np.minimum(planes[:, 0], flux.plane_positions[:, 0])
+    planes[:, -1] = np.maximum(planes[:, -1], flux.plane_positions[:, -1])
     flux.__dict__["plane_positions"] = planes
     tables = flux.compiled(1.0)
     for box in random_boxes(planes, np.random.default_rng(2), 500):
@@ -155,8 +156,8 @@ def test_area_is_the_default_and_costs_no_bit(name):
 
 
 @njit
-def _length(weights, x0, y0, z0, x1, y1, z1):
-    return weights[0] * (x1 - x0)
+def _length(x0, y0, z0, x1, y1, z1):
+    return x1 - x0
 
 
 class Length:
@@ -169,7 +170,7 @@ class Length:
 
     def compiled(self, scale):
         self.scales.append(scale)
-        return _length, np.array([1.0])
+        return _length
 
 
 def inner_boxes(tree):
@@ -201,7 +202,7 @@ def test_builders_minimise_the_measure_they_are_given(name):
     tree, area = (mibvh.build(corners, name, measure=m, **options) for m in (flux, None))
     assert tree.validate(mibvh.Triangles(corners)) == []
     touches = [of_boxes(compiled, inner_boxes(t)).sum() for t in (tree, area)]
-    assert touches[0] < 0.97 * touches[1]
+    assert touches[0] < 0.99 * touches[1]
 
 
 def test_flux_tree_is_the_same_on_any_number_of_threads():

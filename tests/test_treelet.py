@@ -149,8 +149,8 @@ def test_nodes_come_lowest_first_and_never_two_on_one_path_together():
 def test_costs_boxes_and_counts_are_kept_up_to_date(max_leaf):
     refs = References.of(soup(700, 5))
     left, right, reference, count, box = depth_first(radix_draft(refs))
-    costs = 1.2, 1.0, max_leaf
-    cost = subtree_costs(left, right, box, count, *costs, None)
+    costs = 1.2, 1.0, max_leaf, None
+    cost = subtree_costs(left, right, box, count, *costs)
     before = cost[0]
     for least in (7, 14, 28):
         nodes, ends = nodes_above(0, least, left, right, count)
@@ -161,7 +161,7 @@ def test_costs_boxes_and_counts_are_kept_up_to_date(max_leaf):
         result = Draft(refs, left, right, reference)
         np.testing.assert_array_equal(box, draft_boxes(result))
         drawn = depth_first(result)
-        anew = subtree_costs(*drawn[:2], drawn[4], drawn[3], *costs, None)
+        anew = subtree_costs(*drawn[:2], drawn[4], drawn[3], *costs)
         np.testing.assert_array_equal(np.sort(cost), np.sort(anew))
         np.testing.assert_array_equal(np.sort(count), np.sort(drawn[3]))
         sah = draft_sah(result, c_inner=1.2, c_tri=1.0, max_leaf=max_leaf)
@@ -255,17 +255,17 @@ def area_of(box):
 @pytest.mark.parametrize("max_leaf", [1, 2, 8])
 @pytest.mark.parametrize("owner", [(0, 0, 1, 1, 2), (0, 1, 2, 0, 0, 1), (0, 0, 0, 0)])
 def test_leaves_hold_a_triangle_once_and_that_is_what_they_cost(owner, max_leaf):
-    costs = 1.2, 1.0, max_leaf
+    costs = 1.2, 1.0, max_leaf, None
     joined = 0
     for seed in range(8):
         refs = parts_of(References.of(soup(len(owner), seed, size=0.8)), owner)
         boxes = np.concatenate([refs.lower, refs.upper], axis=1)
         left, right, reference, count, box = depth_first(radix_draft(refs))
-        cost = subtree_costs(left, right, box, count, *costs, None)
+        cost = subtree_costs(left, right, box, count, *costs)
         owner_of = owners(refs.triangle, left, reference)
         root, end = np.zeros(1, np.int32), np.ones(1, np.int64)
         _improve_all(root, end, len(owner), owner_of, left, right, box, count, cost, *costs)
-        least = cheapest_with_parts(boxes, owner, *costs)
+        least = cheapest_with_parts(boxes, owner, *costs[:3])
         assert cost[0] == pytest.approx(least, rel=1e-6)
         result = without_joined(refs.scale, owner_of, left, right, box)
         sah = draft_sah(result, c_inner=1.2, c_tri=1.0, max_leaf=max_leaf)

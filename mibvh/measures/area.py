@@ -19,7 +19,7 @@ class Measure(Protocol):
         ...
 
     def compiled(self, scale: float) -> Any:
-        """Return what kernels take: None for the area, otherwise a tuple.
+        """Return what kernels take: None for the area, otherwise tables or a function.
 
         Parameters
         ----------
@@ -28,9 +28,10 @@ class Measure(Protocol):
 
         Returns
         -------
-        None or (function, data)
-            A function compiled by Numba, ``function(data, x0, y0, z0, x1, y1, z1)``, returns the
-            measure of a box in builder units, in units of half a surface area there.
+        None or compiled function
+            ``numba.njit`` of ``function(x0, y0, z0, x1, y1, z1)``: the measure of a box in
+            builder units, in units of half a surface area there. Kernels are compiled for each
+            such function, once in a process, so make it once for a scale.
         """
         ...
 

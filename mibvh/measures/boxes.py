@@ -1,6 +1,7 @@
 """The one compiled function that tells what a box costs.
 
-Kernels take a measure as an argument that is None for the area and a tuple for any other. Numba
+Kernels take a measure as an argument that is None for the area, a tuple of tables for the flux,
+and a compiled function for one of the user's own. Numba
 compiles a kernel for each type of argument and drops the branches that a type rules out, so the
 area costs what it cost when there was nothing else, and a kernel is compiled for another measure
 only when somebody asks for one.
@@ -26,7 +27,7 @@ def _other(measure: Any, x0: Any, y0: Any, z0: Any, x1: Any, y1: Any, z1: Any) -
 def _compile_other(measure, x0, y0, z0, x1, y1, z1):
     if isinstance(measure, types.NamedTuple) and measure.instance_class is FluxTables:
         return _of_flux
-    if isinstance(measure, types.BaseTuple) and len(measure) == 2:
+    if isinstance(measure, types.Dispatcher):
         return _of_function
     return None
 
@@ -36,7 +37,7 @@ def _of_flux(measure, x0, y0, z0, x1, y1, z1):
 
 
 def _of_function(measure, x0, y0, z0, x1, y1, z1):
-    return measure[0](measure[1], x0, y0, z0, x1, y1, z1)
+    return measure(x0, y0, z0, x1, y1, z1)
 
 
 @njit(allocates=False)
@@ -48,7 +49,7 @@ def of_corners(measure, x0, y0, z0, x1, y1, z1):
 
     Parameters
     ----------
-    measure : None or tuple
+    measure : None, FluxTables or compiled function
         None: half the surface area.
     x0, y0, z0, x1, y1, z1 : float32
         Lower and upper corner in builder units.

@@ -80,7 +80,8 @@ def _plane_below(tables, axis, value):
     # A rounding may have put the coordinate into the next cell.
     while plane > 0 and tables.planes[first + plane] > value:
         plane -= 1
-    share = np.float64(value - tables.planes[first + plane]) * tables.inverse[first + plane]
+    beyond = np.float64(value) - np.float64(tables.planes[first + plane])
+    share = beyond * tables.inverse[first + plane]
     return plane, min(max(share, 0.0), 1.0)
 
 
