@@ -3,7 +3,7 @@
     python benchmarks/better_trees.py SCENE... [--table gains|ablations|unseen|later]
                                       [--trees DIR] [--size 160x120] [-o TABLE.md]
 
-SCENE is whatever `mibvh build` takes. Every tree is measured on rays that no builder saw: of another
+SCENE is whatever `mibvh build` takes. Trees are measured on rays that no builder saw: of another
 seed, and, for `unseen`, of other cameras. Cost is counted, 1.2 for each inner node and 1.0 for each
 triangle test of the paper's kernel, and given relative to the best of the paper's nine builders.
 With --trees DIR, those nine are read from DIR/SCENE/BUILDER.npz where they are there.
