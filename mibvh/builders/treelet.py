@@ -44,8 +44,7 @@ from mibvh.builders import lanes
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.registry import Context, Options, builder, option
 from mibvh.builders.rotations import box_area, depth_first, judged
-from mibvh.builders.splitting import presplit
-from mibvh.errors import MibvhError
+from mibvh.builders.splitting import as_boxes, over_parts, presplit
 from mibvh.measures.boxes import of_corners
 from mibvh.triangles import F32, I32, Triangles
 
@@ -692,19 +691,9 @@ def treelet(triangles: Triangles, options: TreeletOptions, context: Context) -> 
 
 
 def start_over(references: References, options: SplitTreeletOptions, context: Context) -> Draft:
-    """Build the start tree over given references.
-
-    The start builder sees each reference as a triangle that fills its box corner to corner;
-    builders that split none look at nothing but boxes.
-    """
-    corners = np.stack([references.lower, references.upper, references.lower], axis=1)
-    boxes = Triangles(corners, "parts of triangles")
-    draft = context.start(boxes, options.base, options)
-    part = draft.references.triangle
-    if len(part) != len(references):
-        raise MibvhError(f"base must be a builder that splits no triangles, not {options.base}")
-    reference = np.where(draft.left < 0, part[draft.reference], np.int32(-1))
-    return Draft(references, draft.left, draft.right, reference)
+    """Build the start tree over given references."""
+    draft = context.start(as_boxes(references), options.base, options)
+    return dataclasses.replace(over_parts(draft, references, options.base), report={})
 
 
 @builder(
