@@ -10,13 +10,14 @@ A pass
 1. For each node in question, in parallel, find where it would be best inserted, with the tree as
    it is: the gain is the measure of its parent, which goes, plus what the nodes above shrink by,
    minus what those at the new place grow by and the new parent's measure. From each ancestor up
-   to the root, the other child's subtree is searched, with branch and bound.
+   to the root, the other child's subtree is searched, with branch and bound, and beside the
+   ancestor itself is tried.
 2. In the order of gain, do the moves; one is skipped where a node that it touches has been
    touched in this pass, and where its new place has come to be below it.
 
 The widely copied code of this (madmann91/bvh v2) ends the climb before the other child of the root
-is searched, so that only the root's own children can move across it; here the root is part of it.
-Its second check is missing there, too.
+is searched, so that only the root's own children can move across it, tries no ancestors, and lacks
+the second check.
 """
 
 from __future__ import annotations
@@ -103,9 +104,11 @@ def _find(measure, node, left, right, parent, box, cost, stack, gains, rest):
             for k in range(3):
                 rest[k] = min(rest[k], box[beside, k])
                 rest[k + 3] = max(rest[k + 3], box[beside, k + 3])
-            gain += cost[pivot] - of_corners(
-                measure, rest[0], rest[1], rest[2], rest[3], rest[4], rest[5]
-            )
+            shrunk = of_corners(measure, rest[0], rest[1], rest[2], rest[3], rest[4], rest[5])
+            # Beside the shrunk ancestor itself: their common box is the ancestor's of now.
+            if gain - shrunk > best:
+                best, to = gain - shrunk, pivot
+            gain += cost[pivot] - shrunk
         below, pivot = pivot, parent[pivot]
         beside = _other(left, right, pivot, below)
 
