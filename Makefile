@@ -9,7 +9,11 @@ OUT    ?= out/study
 SIZE   ?= 10000
 SCENES ?= cornell livingroom hairball city_italian vegetation powerplant
 
-.PHONY: study test lint setup lock clean
+# How long `make fuzz` tries damaged and hostile input, and from which seed.
+FUZZ_SECONDS ?= 300
+FUZZ_SEED    ?= 0
+
+.PHONY: study test lint fuzz setup lock clean
 
 study: setup
 	$(BIN)/mibvh study $(addsuffix @$(SIZE),$(SCENES)) -o $(OUT)
@@ -21,6 +25,9 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+fuzz: setup
+	FUZZ_SECONDS=$(FUZZ_SECONDS) FUZZ_SEED=$(FUZZ_SEED) $(BIN)/python -m tools.fuzz
 
 setup: $(VENV)/installed
 	@PYTHON=$(BIN)/python sh tools/ensure_llvm.sh

@@ -253,7 +253,7 @@ def scaling_plot(found: list[dict[str, Any]], builders: list[str], path: Path) -
     import numpy as np
     from matplotlib.figure import Figure
 
-    from mibvh.studies.figures import builder_colour, png, style
+    from mibvh.studies.report.plots import builder_colour, png, style
 
     with style():
         figure = Figure(figsize=(7.2, 4.6), layout="constrained")

@@ -14,13 +14,9 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
-
-if TYPE_CHECKING:
-    from mibvh.traversal.trace import Style
 
 
-def first_call(style: Style, rays: int) -> float:
+def first_call(style: str, rays: int) -> float:
     """Seconds of the first :func:`mibvh.trace` in this process."""
     import mibvh
 
@@ -44,10 +40,10 @@ def in_new_process(style: str, rays: int, home: Path) -> float:
 
 def main() -> None:
     """Measure every style."""
-    from mibvh.traversal.trace import Style
+    from mibvh.traversal.styles import STYLES
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--style", nargs="+", default=get_args(Style))
+    parser.add_argument("--style", nargs="+", default=list(STYLES))
     parser.add_argument("--rays", type=int, default=100_000)
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)

@@ -1,20 +1,20 @@
 """The kernels beside Mitsuba's own intersection (Embree): the same rays, interleaved, kernel times.
 
 python benchmarks/traversal.py [SCENE ...] [--style single,wide] [--builder sbvh] [-o TABLES.md]
+    [--variant cuda_ad_rgb]
 """
 
 from __future__ import annotations
 
 import argparse
 import datetime
+import os
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from mibvh.traversal.trace import Style
 
 DEFAULT_SCENES = ["livingroom", "city_italian", "sculpture", "hairball", "powerplant", "vegetation"]
 
@@ -39,7 +39,7 @@ def different(hits: Any, theirs: Any, diagonal: float) -> int:
     return int(differ.sum())
 
 
-def measure(source: str, styles: list[Style], builder: str, rounds: int) -> dict[str, Any]:
+def measure(source: str, styles: list[str], builder: str, rounds: int) -> dict[str, Any]:
     """Measure one scene in all styles."""
     import mibvh
     from mibvh.traversal.records import make_records, unit_scale
@@ -120,26 +120,38 @@ def tables(found: list[dict[str, Any]], styles: list[str]) -> list[str]:
     ]  # fmt: skip
 
 
+def machine(here: dict[str, Any]) -> str:
+    """What the kernels run on: the processor, or the graphics card."""
+    if here["llvm"]:
+        return f"{here['cpu']}, {here['threads']} threads, LLVM {here['llvm']}"
+    command = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+    card = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return f"{card.splitlines()[0]}, {here['variant']}"
+
+
 def main() -> None:
     """Make the tables."""
     from mibvh.environment import environment
-    from mibvh.traversal.trace import Style
+    from mibvh.traversal.styles import STYLES
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenes", nargs="*", default=DEFAULT_SCENES)
-    parser.add_argument("--style", default=",".join(get_args(Style)), help="comma-separated")
+    parser.add_argument("--style", default=",".join(STYLES), help="comma-separated")
     parser.add_argument("--builder", default="sbvh")
     parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--variant", help="of Mitsuba: llvm_ad_rgb, cuda_ad_rgb, ...")
     parser.add_argument("-o", "--output", type=Path)
     arguments = parser.parse_args()
+    if arguments.variant:
+        os.environ["MIBVH_VARIANT"] = arguments.variant
     styles, here, found = arguments.style.split(","), environment(), []
     for source in arguments.scenes:
         found.append(measure(source, styles, arguments.builder, arguments.rounds))
         ratios = zip(styles, found[-1]["ratio"], strict=True)
         print(found[-1]["scene"], *(f"{style} {ratio:.2f}" for style, ratio in ratios), flush=True)
     lines = [
-        f"mibvh {here['mibvh']}, `{arguments.builder}` trees, {here['cpu']}, {here['threads']} "
-        f"threads, LLVM {here['llvm']}, {here['lane_width']} lanes, "
+        f"mibvh {here['mibvh']}, `{arguments.builder}` trees, {machine(here)}, "
+        f"{here['lane_width']} lanes, "
         f"{datetime.date.today().isoformat()}; medians of {arguments.rounds} interleaved rounds.",
         *tables(found, styles),
     ]

@@ -15,11 +15,25 @@ if TYPE_CHECKING:
     from mibvh import plot
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
     from mibvh.errors import MibvhError
+    from mibvh.layouts import read_tree, write_tree
     from mibvh.metrics.epo import epo, epo_per_depth, epo_per_node
-    from mibvh.metrics.lines import RayLines, ray_lines
-    from mibvh.metrics.points import Estimate, RayEnds, ray_ends
+    from mibvh.metrics.lines import RayLines, ray_lines, sah_of_lines
+    from mibvh.metrics.points import (
+        Estimate,
+        RayEnds,
+        epo_at_ends,
+        estimate_epo,
+        point_costs,
+        ray_ends,
+    )
+    from mibvh.metrics.predictor import (
+        estimate_alpha,
+        finite_ray_cost,
+        fit_alpha,
+        path_length_ratio,
+    )
     from mibvh.metrics.sah import sah, sah_per_node
-    from mibvh.rays import RaySet, diffuse_rays
+    from mibvh.rays import Mixture, RaySet, diffuse_rays, make_rays, read_rays
     from mibvh.scene import Scene, load
     from mibvh.studies import Study, StudyOptions, study
     from mibvh.traversal.trace import Hits, trace
@@ -32,6 +46,7 @@ _PUBLIC = {
     "Estimate": "mibvh.metrics.points",
     "Hits": "mibvh.traversal.trace",
     "MibvhError": "mibvh.errors",
+    "Mixture": "mibvh.rays",
     "Options": "mibvh.builders",
     "RayEnds": "mibvh.metrics.points",
     "RayLines": "mibvh.metrics.lines",
@@ -46,18 +61,30 @@ _PUBLIC = {
     "builder": "mibvh.builders",
     "diffuse_rays": "mibvh.rays",
     "epo": "mibvh.metrics.epo",
+    "epo_at_ends": "mibvh.metrics.points",
     "epo_per_depth": "mibvh.metrics.epo",
     "epo_per_node": "mibvh.metrics.epo",
+    "estimate_alpha": "mibvh.metrics.predictor",
+    "estimate_epo": "mibvh.metrics.points",
+    "finite_ray_cost": "mibvh.metrics.predictor",
+    "fit_alpha": "mibvh.metrics.predictor",
     "load": "mibvh.scene",
+    "make_rays": "mibvh.rays",
     "option": "mibvh.builders",
+    "path_length_ratio": "mibvh.metrics.predictor",
     "plot": "mibvh",
+    "point_costs": "mibvh.metrics.points",
     "ray_ends": "mibvh.metrics.points",
     "ray_lines": "mibvh.metrics.lines",
+    "read_tree": "mibvh.layouts",
+    "read_rays": "mibvh.rays",
     "rotation_about": "mibvh.triangles",
     "sah": "mibvh.metrics.sah",
+    "sah_of_lines": "mibvh.metrics.lines",
     "sah_per_node": "mibvh.metrics.sah",
     "study": "mibvh.studies",
     "trace": "mibvh.traversal.trace",
+    "write_tree": "mibvh.layouts",
 }
 
 __all__ = [
@@ -66,6 +93,7 @@ __all__ = [
     "Estimate",
     "Hits",
     "MibvhError",
+    "Mixture",
     "Options",
     "RayEnds",
     "RayLines",
@@ -81,18 +109,30 @@ __all__ = [
     "builder",
     "diffuse_rays",
     "epo",
+    "epo_at_ends",
     "epo_per_depth",
     "epo_per_node",
+    "estimate_alpha",
+    "estimate_epo",
+    "finite_ray_cost",
+    "fit_alpha",
     "load",
+    "make_rays",
     "option",
+    "path_length_ratio",
     "plot",
+    "point_costs",
     "ray_ends",
     "ray_lines",
+    "read_rays",
+    "read_tree",
     "rotation_about",
     "sah",
+    "sah_of_lines",
     "sah_per_node",
     "study",
     "trace",
+    "write_tree",
 ]
 
 

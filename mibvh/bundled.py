@@ -11,7 +11,9 @@ from typing import Any
 
 import platformdirs
 
-from mibvh.errors import MibvhError
+from mibvh.errors import MibvhError, did_you_mean
+from mibvh.loading import printable
+from mibvh.ranges import check
 
 
 def folder(name: str) -> Path:
@@ -64,19 +66,27 @@ def make_scene(
     MibvhError
         If there is no bundled scene of that name, or a number is out of range.
     """
-    package = scenes_package()
-    if name not in package.CATALOGUE:
-        raise MibvhError(
-            f"{name}: there is no such file, and no bundled scene of that name "
-            f"(bundled: {', '.join(package.CATALOGUE)})"
-        )
-    if triangles is not None and triangles < 1:
-        raise MibvhError(f"{name}: a scene needs at least one triangle, not {triangles}")
+    _check(name, triangles, seed)
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise MibvhError(f"{target}: cannot be made a folder ({error.strerror})") from None
-    return Path(package.write(name, target, triangles, seed))
+    return Path(scenes_package().write(name, target, triangles, seed))
+
+
+def _check(name: str, triangles: int | None, seed: int | None) -> None:
+    """Refuse a name that is not in the catalogue, and numbers out of range."""
+    known = scenes_package().CATALOGUE
+    if name not in known:
+        shown = name if len(name) < 200 else f"{name[:200]}..."
+        raise MibvhError(
+            f"{printable(shown)}: there is no such file, and no bundled scene of that name"
+            f"{did_you_mean(name, known)}; bundled: {', '.join(known)}"
+        )
+    if triangles is not None:
+        check(name, triangles=triangles)
+    if seed is not None:
+        check(name, seed=seed)
 
 
 def bundled_scene(name: str, triangles: int | None = None, seed: int | None = None) -> Path:
@@ -96,9 +106,10 @@ def bundled_scene(name: str, triangles: int | None = None, seed: int | None = No
     """
     base, _, size = name.partition("@")
     if size:
-        if not size.isdigit():
+        if not (size.isascii() and size.isdigit()):
             raise MibvhError(f"{name}: after the @ stands the number of triangles")
         triangles = int(size)
+    _check(base, triangles, seed)
     label = base + (f"@{triangles}" if triangles else "") + (f"+{seed}" if seed is not None else "")
     target = cache_folder() / "scenes" / label
     # scene.json is written last.

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import sys
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -35,6 +37,14 @@ SceneArgument = Annotated[
 ]
 TreeArgument = Annotated[Path, typer.Argument(metavar="TREE.npz")]
 RaysArgument = Annotated[Path, typer.Argument(metavar="RAYS.npz")]
+Define = Annotated[
+    list[str] | None,
+    typer.Option("-D", "--define", help="NAME=VALUE for $NAME in a Mitsuba XML file"),
+]
+LayoutOption = Annotated[
+    str | None,
+    typer.Option(help="mibvh, tinybvh, madmann91 or npz; by default npz by its ending, else mibvh"),
+]
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
 
 
@@ -76,11 +86,11 @@ def _show(bar: Any, task: Any) -> Callable[[str, float], None]:
     return show
 
 
-def _load(source: str) -> Any:
+def _load(source: str, define: list[str] | None = None) -> Any:
     """Load a scene, and say on standard error what could not be taken over as it is."""
     from mibvh import load
 
-    scene = load(source)
+    scene = load(source, _parse_pairs(define or [], "-D"))
     for note in scene.notes:
         typer.echo(f"mibvh: {scene.name}: {note}", err=True)
     return scene
@@ -129,7 +139,19 @@ def _common(
         list[Path] | None,
         typer.Option("--plugin", help="Python file that registers builders of your own"),
     ] = None,
+    sandbox: Annotated[
+        bool,
+        typer.Option("--sandbox", help="load scenes in a process of their own first, on trial"),
+    ] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="show the traceback behind a refusal")
+    ] = False,
 ) -> None:
+    # In the environment, so that it holds for worker processes too.
+    if sandbox:
+        os.environ["MIBVH_SANDBOX"] = "1"
+    if debug:
+        os.environ["MIBVH_DEBUG"] = "1"
     for path in plugin or []:
         _load_plugin(path)
 
@@ -140,13 +162,14 @@ def build_command(
     output: Annotated[Path, typer.Option("-o", "--output", help="the tree file to write")],
     builder: Annotated[str, typer.Option(help="a name from `mibvh builders`")] = "bbvh",
     option: Annotated[list[str] | None, typer.Option(help="NAME=VALUE of the builder")] = None,
+    define: Define = None,
     as_json: Json = False,
 ) -> None:
     """Build a tree of a scene and save it."""
     from mibvh import build, sah
 
     options = _parse_options(option or [])
-    triangles = _load(scene).triangles
+    triangles = _load(scene, define).triangles
     with _progress() as bar:
         task = bar.add_task(f"build {builder}", total=1.0)
         tree = build(
@@ -168,17 +191,71 @@ def build_command(
 
 
 @app.command()
-def metrics(scene: SceneArgument, tree: TreeArgument, as_json: Json = False) -> None:
+def metrics(
+    scene: SceneArgument, tree: TreeArgument, define: Define = None, as_json: Json = False
+) -> None:
     """SAH, EPO and statistics of a tree."""
     from mibvh import Tree, epo, sah
 
-    triangles = _load(scene).triangles
+    triangles = _load(scene, define).triangles
     loaded = Tree.load(tree)
     with _progress() as bar:
         task = bar.add_task("EPO", total=1.0)
         overlap = epo(loaded, triangles, progress=lambda done: bar.update(task, completed=done))
     builder = loaded.meta.get("builder")
     _print({"builder": builder, "sah": sah(loaded), "epo": overlap, **loaded.stats()}, as_json)
+
+
+@app.command("import")
+def import_command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="a tree of another program")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="the tree file to write")],
+    layout: LayoutOption = None,
+    scene: Annotated[
+        str | None, typer.Option(help="what it is of: the tree is checked against its triangles")
+    ] = None,
+    name: Annotated[str, typer.Option(help="what to call it; by default as the file")] = "",
+    define: Define = None,
+    as_json: Json = False,
+) -> None:
+    """Take a tree of another program: no box, leaf or reference is changed."""
+    from mibvh import read_tree, sah
+
+    tree = read_tree(file, layout, name)
+    if scene is not None:
+        triangles = _load(scene, define).triangles
+        tree.check_matches(triangles)
+        tree = tree.replace(meta={**tree.meta, "digest": triangles.digest})
+    tree.save(output)
+    _print({"builder": tree.meta.get("builder"), "sah": sah(tree), **tree.stats()}, as_json)
+
+
+@app.command("export")
+def export_command(
+    tree: TreeArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="the file to write")],
+    layout: LayoutOption = None,
+) -> None:
+    """Write a tree for another program."""
+    from mibvh import Tree, write_tree
+
+    write_tree(Tree.load(tree), output, layout)
+
+
+@app.command("triangles")
+def triangles_command(
+    scene: SceneArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="the file to write")],
+    define: Define = None,
+    as_json: Json = False,
+) -> None:
+    """Write a scene's triangles for another program: nine little-endian float32 each, by id."""
+    from mibvh.files import atomic_path
+
+    triangles = _load(scene, define).triangles
+    with atomic_path(output) as path:
+        path.write_bytes(triangles.corners.astype("<f4").tobytes())
+    _print({"triangles": len(triangles), "digest": triangles.digest}, as_json)
 
 
 @app.command()
@@ -191,12 +268,13 @@ def rays(
     samples: Annotated[int, typer.Option(help="paths per pixel")] = 4,
     bounces: Annotated[int, typer.Option(help="diffuse rays per path, at most")] = 1,
     seed: Annotated[int, typer.Option(help="of the random numbers")] = 0,
+    define: Define = None,
     as_json: Json = False,
 ) -> None:
     """Path-trace diffuse rays with Mitsuba and save them."""
     from mibvh import diffuse_rays
 
-    loaded = _load(scene)
+    loaded = _load(scene, define)
     with _progress() as bar:
         task = bar.add_task("rays", total=1.0)
         found = diffuse_rays(
@@ -216,22 +294,23 @@ def trace(
     lanes: Annotated[str, typer.Option(help="simd or scalar")] = "simd",
     style: Annotated[
         str,
-        typer.Option(help="single (as the study), while-while, postponed, or wide: the fastest"),
+        typer.Option(help="single (as the study), while-while, speculative, or wide: the fastest"),
     ] = "single",
     cull: Annotated[bool, typer.Option(help="re-test popped nodes against the hit")] = False,
     any_hit: Annotated[bool, typer.Option(help="end at the first hit found")] = False,
     repeats: Annotated[int, typer.Option(help="timed launches")] = 5,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="hits to write")] = None,
+    define: Define = None,
     as_json: Json = False,
 ) -> None:
     """Trace rays through a tree: hits, exact counters, kernel time."""
     from mibvh import RaySet, Tree
     from mibvh.traversal.trace import trace as run
 
-    triangles = _load(scene).triangles
+    triangles = _load(scene, define).triangles
     hits = run(
         Tree.load(tree), triangles, RaySet.load(rays), lanes,  # type: ignore[arg-type]
-        style=style, cull=cull, any_hit=any_hit, repeats=repeats,  # type: ignore[arg-type]
+        style=style, cull=cull, any_hit=any_hit, repeats=repeats,
     )  # fmt: skip
     if output:
         hits.save(output)
@@ -256,9 +335,7 @@ def render(
     option: Annotated[
         list[str] | None, typer.Option(help="NAME=VALUE of the integrator or the builder")
     ] = None,
-    define: Annotated[
-        list[str] | None, typer.Option("-D", "--define", help="NAME=VALUE for $NAME in the XML")
-    ] = None,
+    define: Define = None,
     spp: Annotated[int, typer.Option(help="samples per pixel")] = 16,
     size: Annotated[str | None, typer.Option(help="WxH in pixels; the scene's by default")] = None,
     sensor: Annotated[int, typer.Option(help="which of the scene's cameras")] = 0,
@@ -276,7 +353,7 @@ def render(
     pixels = None
     if size is not None:
         width, _, height = size.partition("x")
-        if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
+        if not (width.isascii() and width.isdigit() and height.isascii() and height.isdigit()):
             raise MibvhError(f"--size takes WIDTHxHEIGHT, such as 640x480, not {size!r}")
         pixels = (int(width), int(height))
     with _progress() as bar:
@@ -301,13 +378,14 @@ def study(
     builders: Annotated[str, typer.Option(help="names, comma-separated; all by default")] = "",
     profile: Annotated[str, typer.Option(help="quick or paper")] = "quick",
     experiments: Annotated[
-        str, typer.Option(help="of prediction, depth, rotation, sensitivity; or all")
+        str, typer.Option(help="names from `mibvh experiments`, comma-separated; or all")
     ] = "",
     seconds: Annotated[float | None, typer.Option(help="stopwatch budget per lane mode")] = None,
     samples: Annotated[
         int | None, typer.Option(help="paths per pixel; the profile's by default")
     ] = None,
     seed: Annotated[int, typer.Option(help="of the rays")] = 0,
+    define: Define = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="of a Dask cluster to study scenes on")
     ] = None,
@@ -318,9 +396,10 @@ def study(
     """Build, measure, predict and report, for scenes and builders."""
     from mibvh import StudyOptions
     from mibvh import study as run
-    from mibvh.studies import EXPERIMENTS, PROFILES
-    from mibvh.studies.board import Board
-    from mibvh.studies.catalogue import scenes_in
+    from mibvh.scene import with_defines
+    from mibvh.studies import PROFILES
+    from mibvh.studies.paper.catalogue import scenes_in
+    from mibvh.studies.report.board import Board
 
     if profile not in PROFILES:
         raise MibvhError(f"--profile is one of {', '.join(PROFILES)}, not {profile!r}")
@@ -332,9 +411,9 @@ def study(
     }
     named = _names(builders)
     if experiments:
-        asked = _names(experiments)
-        choices["experiments"] = tuple(EXPERIMENTS) if asked == ("all",) else asked
-    sources = [str(part) for source in scenes for part in scenes_in(source)]
+        choices["experiments"] = _names(experiments)
+    defines = _parse_pairs(define or [], "-D")
+    sources = [with_defines(str(part), defines) for source in scenes for part in scenes_in(source)]
     options = StudyOptions(builders=named, **choices)
     with Board(len(sources), as_json) as board:
         result = run(sources, output, options=options, progress=board, scheduler=scheduler)
@@ -348,15 +427,15 @@ def study(
 
 
 def _print_study(result: Any) -> None:
-    from mibvh.studies.analyse import overview
-    from mibvh.studies.answers import COLUMNS, MAIN
+    from mibvh.studies.analyse.correlations import overview
+    from mibvh.studies.record.quantities import columns
 
     # A pipe has no width; 80 columns would cut the names.
     console = Console(width=None if sys.stdout.isatty() else 160)
-    shown = [c for c in COLUMNS if c[0] in MAIN]
-    table = Table("scene", "triangles", "builder", *(title for _, title, _, _ in shown), box=None)
+    shown = columns(main=True)
+    table = Table("scene", "triangles", "builder", *(q.heading for q in shown), box=None)
     for _, row in result.table.iterrows():
-        cells = [format(row[key], form) for key, _, form, _ in shown]
+        cells = [format(row[quantity.name], quantity.format) for quantity in shown]
         table.add_row(row["scene"], f"{row['triangles']:,}", row["builder"], *cells)
     console.print(table)
     console.print()
@@ -393,6 +472,33 @@ def builders(as_json: Json = False) -> None:
     for entry in described:
         own = [f"{k} ({v['default']})" for k, v in entry["options"].items()]
         table.add_row(entry["name"], entry["summary"], entry["source"], ", ".join(own))
+    Console().print(table)
+
+
+@app.command()
+def experiments(as_json: Json = False) -> None:
+    """List the experiments of a study, and what each adds."""
+    from mibvh.studies import EXPERIMENTS
+
+    if as_json:
+        listed = [{"name": name, "summary": summary} for name, summary in EXPERIMENTS.items()]
+        typer.echo(json.dumps({"experiments": listed}))
+        return
+    _print(EXPERIMENTS, False)
+
+
+@app.command()
+def predictors(as_json: Json = False) -> None:
+    """List the predictors of cost, their formulas and free parameters."""
+    from mibvh.metrics.predictors import predictors as known
+
+    if as_json:
+        listed = [{"name": p.name, "formula": p.formula, "free": p.free} for p in known()]
+        typer.echo(json.dumps({"predictors": listed}))
+        return
+    table = Table("predictor", "formula", "free parameters", box=None)
+    for one in known():
+        table.add_row(one.name, one.formula, one.free)
     Console().print(table)
 
 
@@ -435,9 +541,9 @@ def scenes_paper(as_json: Json = False) -> None:
     """List the paper's own scenes: where each is to be had, and what was published of it."""
     import dataclasses
 
-    from mibvh.studies.catalogue import PAPER_SCENES, paper_scenes
+    from mibvh.studies.paper.published import published
 
-    known = paper_scenes()
+    known = published().known_scenes
     if as_json:
         typer.echo(json.dumps({"scenes": [dataclasses.asdict(scene) for scene in known]}))
         return
@@ -450,8 +556,8 @@ def scenes_paper(as_json: Json = False) -> None:
         )  # fmt: skip
     Console().print(table)
     typer.echo(
-        f"\nThe slides name {len(known)} of the {PAPER_SCENES} scenes; what is not known is left "
-        "out.\nTriangles are those of the file that is to be had; the paper's own may differ."
+        f"\nThe slides name {len(known)} of the {published().scenes} scenes; what is not known is "
+        "left out.\nTriangles are those of the file that is to be had; the paper's own may differ."
     )
 
 
@@ -486,13 +592,14 @@ def scenes_make(
 def scenes_show(
     name: SceneArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="the PNG to write")],
+    define: Define = None,
     as_json: Json = False,
 ) -> None:
     """Render a scene's first viewpoint to a PNG."""
     from mibvh.files import atomic_path
     from mibvh.picture import picture, png
 
-    scene = _load(name)
+    scene = _load(name, define)
     with atomic_path(output) as path:
         path.write_bytes(png(picture(scene)))
     _print(
@@ -505,6 +612,8 @@ def main() -> None:
     try:
         app()
     except MibvhError as error:
+        if os.environ.get("MIBVH_DEBUG"):
+            traceback.print_exception(error)
         sys.stderr.write(f"mibvh: {error}\n")
         raise SystemExit(2) from None
 

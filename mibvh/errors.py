@@ -2,9 +2,22 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class MibvhError(ValueError):
     """Something the caller asked for cannot be done; the message says what and where.
 
     The command line prints the message as one sentence and exits with code 2.
     """
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Guess a misspelt name, to stand in a message; empty where none is near.
+
+    >>> did_you_mean("cornel", ["cornell", "hairball"])
+    " (did you mean 'cornell'?)"
+    """
+    near = difflib.get_close_matches(name.lower(), list(known), n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""

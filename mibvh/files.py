@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import math
 import os
 import tempfile
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from mibvh.errors import MibvhError
 
-#: Of the ``.npz`` files of trees and ray sets.
-FORMAT_VERSION = 1
+#: Of the ``.npz`` files of trees, ray sets and hits; files of format 1 are read too.
+FORMAT_VERSION = 2
 
 
 @contextlib.contextmanager
@@ -56,19 +56,39 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def checksum(arrays: Mapping[str, npt.NDArray[Any]], meta: Mapping[str, Any]) -> str:
-    """SHA-256 of arrays, in their order, and of JSON-able metadata."""
+    """SHA-256 of arrays, with their names, types, byte orders and shapes, and of JSON-able data."""
     digest = hashlib.sha256()
-    for array in arrays.values():
+    for name, array in arrays.items():
+        digest.update(json.dumps([name, array.dtype.str, array.shape]).encode())
         digest.update(np.ascontiguousarray(array).tobytes())
     digest.update(json.dumps(meta, sort_keys=True).encode())
     return digest.hexdigest()
 
 
 def write_arrays(
-    path: str | os.PathLike[str], arrays: Mapping[str, npt.NDArray[Any]], meta: Mapping[str, Any]
+    path: str | os.PathLike[str],
+    arrays: Mapping[str, npt.NDArray[Any]],
+    meta: Mapping[str, Any],
+    *,
+    kind: str | None = None,
+    key: str | None = None,
 ) -> None:
-    """Write an ``.npz`` file: the arrays, the metadata, a format version and a checksum."""
-    header = {"format": FORMAT_VERSION, "checksum": checksum(arrays, meta), "meta": meta}
+    """Write an ``.npz`` file: the arrays and a header that tells what they are.
+
+    Parameters
+    ----------
+    path : path
+    arrays : mapping of str to array
+    meta : mapping
+        JSON-able.
+    kind : str, optional
+        Such as ``tree``.
+    key : str, optional
+        What the arrays were made from: a file that was moved or renamed is not taken for
+        another.
+    """
+    facts = {"format": FORMAT_VERSION, "kind": kind, "key": key, "meta": meta}
+    header = {**facts, "checksum": checksum(arrays, facts)}
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         contents: dict[str, Any] = {
             "header": np.array(json.dumps(header, sort_keys=True)),
@@ -78,28 +98,115 @@ def write_arrays(
 
 
 def read_arrays(
-    path: str | os.PathLike[str], kind: str, names: tuple[str, ...]
+    path: str | os.PathLike[str], kind: str, names: tuple[str, ...], *, key: str | None = None
 ) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
     """Read the arrays and the metadata of a file that :func:`write_arrays` wrote.
+
+    Parameters
+    ----------
+    path : path
+    kind : str
+        What it must hold.
+    names : tuple of str
+        The arrays wanted.
+    key : str, optional
+        What it must have been made from.
+
+    Returns
+    -------
+    arrays : dict of str to array
+        Read-only, for good.
+    meta : dict
 
     Raises
     ------
     MibvhError
-        If the file is missing, damaged, of another kind, or of a newer format.
+        If the file is missing, damaged, of another kind or key, or of a newer format; whatever
+        is the matter with it, nothing else.
     """
+    if not Path(path).exists():
+        raise MibvhError(f"{path}: there is no such {kind} file")
+    if not Path(path).is_file():
+        raise MibvhError(f"{path}: is no file")  # to open a pipe would wait for its other end
     try:
-        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
-            header = json.loads(str(data["header"]))
-            arrays = {name: data[name] for name in names}
-    except FileNotFoundError:
-        raise MibvhError(f"{path}: there is no such {kind} file") from None
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise MibvhError(f"{path}: not a {kind} file of mibvh, or damaged ({error})") from None
-    if header.get("format") != FORMAT_VERSION:
+        with zipfile.ZipFile(path) as archive:
+            header = json.loads(str(_member(archive, "header")))
+            arrays = {name: _member(archive, name) for name in names}
+        version = header["format"]
+        sound = isinstance(header["meta"], dict) and _sound(header, arrays)
+    # Damage can make zipfile, NumPy and json raise nearly anything: NotImplementedError,
+    # RuntimeError, struct.error, MemoryError, RecursionError, tokenize.TokenError and more.
+    except Exception as error:
+        reason = " ".join((str(error) or type(error).__name__).split())[:120]
+        raise MibvhError(f"{path}: not a {kind} file of mibvh, or damaged ({reason})") from None
+    if version not in (1, FORMAT_VERSION):
         raise MibvhError(
-            f"{path}: {kind} format {header.get('format')} is not the format {FORMAT_VERSION} "
-            "that this mibvh reads"
+            f"{path}: {kind} format {version} is none that this mibvh reads (1 to {FORMAT_VERSION})"
         )
-    if checksum(arrays, header["meta"]) != header["checksum"]:
+    if not sound:
         raise MibvhError(f"{path}: the {kind} file is damaged (its checksum does not match)")
+    if header.get("kind") not in (None, kind):
+        raise MibvhError(f"{path}: is a {header['kind']} file, not a {kind} file")
+    if key is not None and header.get("key") != key:
+        raise MibvhError(f"{path}: the {kind} file was made from something else (its key differs)")
     return arrays, header["meta"]
+
+
+def check_columns(
+    path: str | os.PathLike[str],
+    kind: str,
+    arrays: Mapping[str, npt.NDArray[Any]],
+    columns: Mapping[str, str],
+) -> None:
+    """Refuse arrays that are not the columns of one table.
+
+    Parameters
+    ----------
+    path : path
+    kind : str
+        Of the file.
+    arrays : mapping of str to array
+    columns : mapping of str to str
+        The type of each; each has a row for each of the first's.
+
+    Raises
+    ------
+    MibvhError
+        If one is of another type or shape.
+    """
+    rows = next((arrays[name].shape[:1] for name in columns), ())
+    for name, dtype in columns.items():
+        array = arrays[name]
+        if array.dtype != dtype or array.shape != rows or not rows:
+            raise MibvhError(
+                f"{path}: not a {kind} file of mibvh ({name} is {array.dtype} {array.shape}, not "
+                f"{dtype} {rows or '(N,)'})"
+            )
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> npt.NDArray[Any]:
+    """Read one array. It takes no more memory than the file has bytes, whatever it claims."""
+    info = archive.getinfo(f"{name}.npy")
+    if info.compress_type != zipfile.ZIP_STORED:
+        raise ValueError(f"{name} is compressed")
+    with archive.open(info) as file:
+        version = np.lib.format.read_magic(file)
+        if version != (1, 0):
+            raise ValueError(f"{name} is an array of format {version}")
+        shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
+        data = file.read()
+    if fortran or dtype.hasobject or len(data) != math.prod(shape) * dtype.itemsize:
+        raise ValueError(f"{name} is not the array that its header tells of")
+    return np.frombuffer(data, dtype).reshape(shape)
+
+
+def _sound(header: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> bool:
+    """Whether the checksum is that of the arrays and the rest of the header."""
+    if header["format"] == 1:  # covers the bytes alone
+        digest = hashlib.sha256()
+        for array in arrays.values():
+            digest.update(array.tobytes())
+        digest.update(json.dumps(header["meta"], sort_keys=True).encode())
+        return bool(header["checksum"] == digest.hexdigest())
+    facts = {name: header.get(name) for name in ("format", "kind", "key", "meta")}
+    return bool(header["checksum"] == checksum(arrays, facts))

@@ -10,6 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import TypeVar
 
 from mibvh.errors import MibvhError
+from mibvh.ranges import RANGES
 
 Task = TypeVar("Task")
 
@@ -20,7 +21,7 @@ def thread_count() -> int:
     Raises
     ------
     MibvhError
-        If the variable is no positive whole number.
+        If the variable is no whole number in its range.
     """
     asked = os.environ.get("MIBVH_THREADS")
     if asked is None:
@@ -29,9 +30,10 @@ def thread_count() -> int:
             if hasattr(os, "sched_getaffinity")
             else (os.cpu_count() or 1)
         )
-    if not asked.isdigit() or int(asked) < 1:
-        raise MibvhError(f"MIBVH_THREADS must be a positive whole number, not {asked!r}")
-    return int(asked)
+    threads = int(asked) if asked.isascii() and asked.isdigit() else None
+    if threads is None or not RANGES["threads"].holds(threads):
+        raise MibvhError(f"MIBVH_THREADS must be {RANGES['threads']}, not {asked!r}")
+    return threads
 
 
 def run_blocks(

@@ -13,6 +13,7 @@ from mibvh.errors import MibvhError
 from mibvh.scene import Scene
 from mibvh.triangles import F64
 from mibvh.variant import mitsuba
+from mibvh.viewpoints import camera_rays
 
 #: A pixel is dark below this share of the bright ones' value, and a picture where more than so
 #: many are: closed rooms, of which few paths find the light, come out as white dots on black.
@@ -36,8 +37,9 @@ def picture(scene: Scene, viewpoint: int = 0, width: int = 360, samples: int = 3
     -------
     (H, W, 3) float64
         From 0 to 1, as shown on a screen. Scenes that Mitsuba can render are rendered with their
-        own integrator; bare meshes are lit from the camera, and so is what their own light hardly
-        gets to.
+        own integrator, or ``path`` where they name none, as Mitsuba has them: with instances,
+        and spheres that are round. Bare meshes are lit from the camera, and so is what their own
+        light hardly gets to.
 
     Raises
     ------
@@ -54,11 +56,14 @@ def picture(scene: Scene, viewpoint: int = 0, width: int = 360, samples: int = 3
     columns, rows = (int(n) for n in sensor.film().crop_size())
     shrink = width / max(columns, rows)
     size = max(1, round(columns * shrink)), max(1, round(rows * shrink))
-    lit = scene.original is not None and scene.original.emitters()
-    if samples == 0 or not lit or not _can_render():
+    if samples == 0 or not _can_render():
         return _headlight(mi, scene, sensor, *size)
+    whole = scene.renderable
+    if whole is None or not whole.emitters():
+        return _headlight(mi, scene, sensor, *size)
+    integrator = whole.integrator() or mi.load_dict({"type": "path", "max_depth": 8})
     with _film_of(mi, sensor, size):
-        image = mi.render(scene.original, sensor=sensor, spp=samples)
+        image = mi.render(whole, sensor=sensor, integrator=integrator, spp=samples)
     pixels = np.array(mi.Bitmap(image).convert(mi.Bitmap.PixelFormat.RGB,
                                                mi.Struct.Type.Float32, False))  # fmt: skip
     middle = np.quantile(pixels[np.isfinite(pixels)], 0.9)
@@ -114,8 +119,8 @@ def _headlight(mi: Any, scene: Scene, sensor: Any, width: int, height: int) -> F
     for dx, dy in [(0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)]:
         place = mi.Point2f((mi.Float(index % width) + dx) / width,
                            (mi.Float(index // width) + dy) / height)  # fmt: skip
-        ray, _ = sensor.sample_ray(mi.Float(0), mi.Float(0.5), place, mi.Point2f(0.5))
-        hit = scene.geometry.ray_intersect(mi.Ray3f(ray))
+        ray = camera_rays(sensor, place, mi.Point2f(0.5))
+        hit = scene.geometry.ray_intersect(ray)
         lit = 0.15 + 0.85 * dr.abs(dr.dot(hit.n, ray.d))
         shade += 0.25 * dr.select(hit.is_valid(), lit, 1.0)
     grey = np.array(shade, dtype=np.float64).reshape(height, width, 1)

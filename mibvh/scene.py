@@ -6,14 +6,36 @@ import dataclasses
 import functools
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote, unquote
 
 import numpy as np
 
 from mibvh.errors import MibvhError
-from mibvh.triangles import F32, Triangles
+from mibvh.instances import members_named
+from mibvh.loading import printable, read_mesh, sandbox
+from mibvh.loading.parser import Parsed, mitsuba_reason, parse_dict, parse_file
+from mibvh.loading.shapes import mesh_corners, shape_key, shape_kind, shape_triangles, transformed
+from mibvh.memory import require_memory
+from mibvh.triangles import F32, F64, Triangles
 from mibvh.variant import mitsuba
+from mibvh.viewpoints import automatic_viewpoints, camera_rays
+
+__all__ = [
+    "Scene",
+    "find_scene_file",
+    "load",
+    "makes_rays",
+    "mesh_corners",
+    "mitsuba_geometry",
+    "mitsuba_mesh",
+    "mitsuba_reason",
+    "shape_key",
+    "shape_kind",
+    "with_defines",
+]
 
 
 @dataclasses.dataclass(eq=False)
@@ -28,9 +50,12 @@ class Scene:
     sensors : list of mitsuba.Sensor
         The scene file's cameras, or automatic ones where it has none.
     original : mitsuba.Scene or None
-        The scene as Mitsuba loads it, for rendering; None for a bare mesh.
+        The scene as Mitsuba loads it; None for a bare mesh, and where instances are flattened:
+        see :attr:`renderable`.
     notes : list of str
         What could not be taken over as triangles, in sentences.
+    reload : callable, optional
+        Loads ``original`` where that is not kept.
     """
 
     name: str
@@ -38,11 +63,21 @@ class Scene:
     sensors: list[Any]
     original: Any = None
     notes: list[str] = dataclasses.field(default_factory=list)
+    reload: Callable[[], Any] | None = None
+
+    def __repr__(self) -> str:
+        cameras = f"{len(self.sensors)} viewpoint{'' if len(self.sensors) == 1 else 's'}"
+        return f"Scene({self.name!r}, {len(self.triangles):,} triangles, {cameras})"
 
     @functools.cached_property
     def geometry(self) -> Any:
         """A Mitsuba scene of exactly these triangles: ``prim_index`` is the triangle id."""
         return mitsuba_geometry(self.triangles)
+
+    @functools.cached_property
+    def renderable(self) -> Any:
+        """The scene as Mitsuba renders it, instances included; None for a bare mesh."""
+        return self.reload() if self.reload else self.original
 
     def few_rays(self, count: int, seed: int) -> Any:
         """Path-trace about so many diffuse rays, as many for each viewpoint.
@@ -84,15 +119,20 @@ def mitsuba_mesh(triangles: Triangles) -> Any:
     return mesh
 
 
-def load(source: Any) -> Scene:
+def load(source: Any, defines: dict[str, Any] | None = None) -> Scene:
     """Load a scene.
 
     Parameters
     ----------
     source : path, dict, mitsuba.Scene or (N, 3, 3) array
-        A Mitsuba 3 XML file or dict; any mesh file that trimesh reads (PLY, OBJ, GLB, STL,
-        ...); the name of a bundled scene; or triangles. Where there is no camera, viewpoints
-        are chosen: in open space for interiors, around it for objects.
+        A Mitsuba 3 XML file or dict; a mesh file (PLY, OBJ, GLB, glTF, STL, OFF; ``docs/scenes.md``
+        says what of them is read); the name of a bundled scene, with its size as in
+        ``cornell@2000``; triangles, or a trimesh. ``FILE.xml[name=value,...]`` sets parameters of
+        an XML file. Where there is no camera, viewpoints are chosen: in open space for interiors,
+        around it for objects.
+    defines : dict, optional
+        Mitsuba's ``-D``: values for the ``$name`` in an XML file. They become part of the scene's
+        name.
 
     Returns
     -------
@@ -103,32 +143,75 @@ def load(source: Any) -> Scene:
     MibvhError
         If the file is missing or unreadable, or there is no triangle in it.
     """
-    if isinstance(source, Scene):
-        return source
-    if isinstance(source, Triangles | np.ndarray):
-        triangles = source if isinstance(source, Triangles) else Triangles(source)
-        return _with_viewpoints(Scene(triangles.name, triangles, []))
-    if isinstance(source, dict):
-        return _from_parser("dict", lambda mi, config: mi.parser.parse_dict(config, source))
-    mi = mitsuba()
-    if isinstance(source, mi.Scene):
-        return _from_shapes("scene", source, source.shapes(), {})
-    path = Path(source)
-    if not path.exists():
-        from mibvh.bundled import bundled_scene
-
-        path = bundled_scene(os.fspath(source))
-    if path.is_dir():
-        raise MibvhError(f"{path}: is a folder; name the scene file in it")
+    if not isinstance(source, str | os.PathLike):
+        if defines:
+            raise MibvhError("values for $names are for Mitsuba XML files")
+        return _from_object(source)
+    path, named = find_scene_file(source)
+    defines = {**named, **{name: str(value) for name, value in (defines or {}).items()}}
+    if sandbox.wanted():
+        sandbox.try_to_load(with_defines(os.fspath(path), defines))
     if path.suffix.lower() == ".xml":
-        name = _scene_name(path)
-        return _from_parser(
-            name,
-            lambda mi, config: mi.parser.parse_file(config, str(path)),
-            str(path),
-            path.parent,
+        name = with_defines(printable(_scene_name(path)), defines)
+        return _from_parsed(name, functools.partial(parse_file, path, defines), printable(path))
+    if defines:
+        raise MibvhError(
+            f"{printable(path)}: -D sets parameters of Mitsuba XML, which this file is not"
         )
-    return _with_viewpoints(Scene(path.stem, _read_mesh(path), []))
+    triangles, notes = read_mesh(path)
+    return _with_viewpoints(Scene(triangles.name, triangles, [], None, notes))
+
+
+def find_scene_file(source: str | os.PathLike[str]) -> tuple[Path, dict[str, str]]:
+    """Find the file that a scene's name stands for, and the parameters that are in the name.
+
+    Parameters
+    ----------
+    source : path
+        A file, the name of a bundled scene, or either with ``[name=value,...]`` behind it.
+
+    Raises
+    ------
+    MibvhError
+        If there is no such file or bundled scene, or it is a folder.
+    """
+    from mibvh.bundled import bundled_scene
+
+    defines: dict[str, str] = {}
+    text = os.fspath(source)
+    path = Path(text)
+    if not _exists(path) and (match := re.fullmatch(r"(.+)\[([^\[\]]*)\]", text)):
+        for pair in match.group(2).split(","):
+            name, equals, value = pair.partition("=")
+            if not equals or not name:
+                raise MibvhError(f"{printable(text)}: in the brackets stands name=value,...")
+            defines[unquote(name)] = unquote(value)
+        text = match.group(1)
+        path = Path(text)
+    if not _exists(path):
+        path = bundled_scene(text)
+    if path.is_dir():
+        raise MibvhError(f"{printable(path)}: is a folder; name the scene file in it")
+    return path, defines
+
+
+def with_defines(source: str, defines: dict[str, str]) -> str:
+    """Name a scene together with parameters: ``a.xml[n=2]``, which :func:`load` takes.
+
+    >>> with_defines("a.xml", {"n": "2", "file": "b/c"})
+    'a.xml[n=2,file=b%2Fc]'
+    """
+    if not defines:
+        return source
+    pairs = (f"{quote(k, safe='')}={quote(v, safe='')}" for k, v in defines.items())
+    return f"{source}[{','.join(pairs)}]"
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # too long a name, or a zero byte in it
+        return False
 
 
 def _scene_name(path: Path) -> str:
@@ -138,185 +221,90 @@ def _scene_name(path: Path) -> str:
     return path.resolve().parent.name
 
 
-# ------------------------------------------------------------------ Mitsuba scenes
-
-
-def _from_parser(
-    name: str, parse: Any, where: str | None = None, folder: Path | None = None
-) -> Scene:
-    """Parse, flatten instances, instantiate; Mitsuba's own error message on failure."""
+def _from_object(source: Any) -> Scene:
+    """A scene of what is no file."""
+    if isinstance(source, Scene):
+        return source
+    if isinstance(source, dict):
+        return _from_parsed("dict", functools.partial(parse_dict, source), "dict")
     mi = mitsuba()
-    where = where or name
-    resolver = mi.file_resolver()
-    saved = mi.FileResolver(resolver)
-    try:
-        if folder is not None:
-            resolver.append(str(folder.resolve()))
-        config = mi.parser.ParserConfig(mi.variant())
-        config.merge_meshes = False
-        state = parse(mi, config)
-        if any(node.props.plugin_name().startswith("bvh_") for node in state.nodes):
-            import mibvh.mitsuba  # noqa: F401 - registers the integrators that the scene names
-        mi.parser.transform_all(config, state)
-        instances = _expand_instances(mi, state)
-        scene = mi.parser.instantiate(config, state)
-        scene = scene[0] if isinstance(scene, list) else scene
-        if not isinstance(scene, mi.Scene):
-            raise MibvhError(f"{where}: describes no scene")
-        return _from_shapes(name, scene, scene.shapes(), instances, where)
-    except RuntimeError as error:
-        raise MibvhError(f"{where}: Mitsuba cannot load it ({mitsuba_reason(error)})") from None
-    finally:
-        resolver.clear()
-        for entry in saved:
-            resolver.append(str(entry))
-
-
-def mitsuba_reason(error: Exception) -> str:
-    """What an error of Mitsuba's parser says, on one line.
-
-    Where a plugin of mibvh's refused, its sentence with the place in the file, not the Python
-    traceback that Mitsuba puts around it.
-    """
-    text = " ".join(re.sub(r"\[parser\.cpp:\d+\] ", "", str(error)).split())
-    before, ours, sentence = text.rpartition("MibvhError: ")
-    if not ours:
-        return text
-    place = re.match(r"At .+?\(line \d+, col \d+\)", before)
-    return f"{place.group()}: {sentence}" if place else sentence
-
-
-def _expand_instances(mi: Any, state: Any) -> dict[str, list[np.ndarray]]:
-    """Let the members of instanced shape groups stand in the scene once, under known names.
-
-    Returns
-    -------
-    dict of str to list of (4, 4) float64
-        For each such name, where its instances stand.
-    """
-    root = state.nodes[0].props
-    placed: dict[str, list[np.ndarray]] = {}
-    for key in list(root.keys()):
-        node = _referenced(state, root, key)
-        if node is None or node.plugin_name() != "instance":
-            continue
-        matrix = np.eye(4)
-        if "to_world" in node.keys():  # noqa: SIM118 - Properties has no __contains__ for keys
-            matrix = np.array(node["to_world"].matrix, dtype=np.float64)
-        group = next(
-            (
-                (node[k].index(), member)
-                for k in node.keys()  # noqa: SIM118
-                if (member := _referenced(state, node, k)) is not None
-                and member.plugin_name() == "shapegroup"
-            ),
-            None,
+    if isinstance(source, mi.Scene):
+        with members_named(source) as (shapes, instances):
+            found = _from_shapes("scene", Parsed(source, instances, []), shapes, "scene")
+        found.original = source
+        return found
+    corners = getattr(source, "triangles", source)
+    if not isinstance(corners, Triangles | np.ndarray):
+        raise MibvhError(
+            "a scene is a file, a bundled scene's name, a Mitsuba scene or dict, or triangles; not "
+            f"a {type(source).__name__}"
         )
-        del root[key]
-        if group is None:
-            continue
-        index, members = group
-        for k in members.keys():  # noqa: SIM118
-            shape = _referenced(state, members, k)
-            if shape is None:
-                continue
-            name = f"__instanced_{index}_{k}"
-            if name not in placed:
-                placed[name] = []
-                shape.set_id(name)
-                root[name] = members[k]
-            placed[name].append(matrix)
-    return placed
+    triangles = corners if isinstance(corners, Triangles) else Triangles(corners)
+    return _with_viewpoints(Scene(triangles.name, triangles, []))
 
 
-def _referenced(state: Any, props: Any, key: str) -> Any:
-    """The properties of the node that a property refers to, or None."""
-    value = props[key]
-    return state.nodes[value.index()].props if hasattr(value, "index") else None
+def _from_parsed(name: str, parse: Callable[..., Parsed], where: str) -> Scene:
+    """A scene that Mitsuba parses, with its instances flattened; again, as it is, to render it."""
+    parsed = parse(flatten=True)
+    found = _from_shapes(name, parsed, parsed.scene.shapes(), where)
+    if parsed.instances:
+        found.reload = lambda: parse(flatten=False).scene
+    return found
 
 
-def _from_shapes(
-    name: str, scene: Any, shapes: list[Any], instances: dict[str, list[Any]], where: str = ""
-) -> Scene:
-    parts: list[F32] = []
-    notes: list[str] = []
+def _from_shapes(name: str, parsed: Parsed, whole: list[Any], where: str) -> Scene:
+    """Triangles and cameras of a scene that Mitsuba has instantiated."""
+    shapes: list[tuple[F32, list[F64] | None]] = []
+    notes = list(parsed.notes)
     # The order of shapes() may differ between loads; triangle ids must not.
-    for shape in sorted(shapes, key=shape_key):
-        corners, note = _shape_triangles(shape)
+    for shape in sorted(whole, key=shape_key):
+        try:
+            corners, note = shape_triangles(shape)
+        except MibvhError as error:
+            raise MibvhError(f"{where}: {error}") from None
         if note:
             notes.append(note)
         if corners is None:
             continue
-        for matrix in instances.get(shape.id(), [None]):
-            parts.append(corners if matrix is None else _transformed(corners, matrix))
-    if not parts:
+        shapes.append((corners, parsed.instances.get(shape.id())))
+    if not shapes:
         detail = f" ({'; '.join(notes)})" if notes else ""
-        raise MibvhError(f"{where or name}: there is no triangle in it{detail}")
-    triangles = Triangles(np.concatenate(parts), name)
-    original = None if instances else scene
-    return _with_viewpoints(Scene(name, triangles, list(scene.sensors()), original, notes))
-
-
-def shape_key(shape: Any) -> tuple[Any, ...]:
-    """Sort key of a Mitsuba shape, the same in every load."""
-    box = shape.bbox()
-    return (shape.id(), shape.primitive_count(), *np.array(box.min), *np.array(box.max))
-
-
-def shape_kind(shape: Any) -> str:
-    """Mitsuba's name of a shape's class, such as ``Sphere``."""
-    return str(shape).split("[")[0].strip()
-
-
-def mesh_corners(mesh: Any) -> F32:
-    """(N, 3, 3) float32: the triangles of a Mitsuba mesh, in the order of its faces."""
-    vertices = np.array(mesh.vertex_positions_buffer(), dtype=np.float32).reshape(-1, 3)
-    faces = np.array(mesh.faces_buffer(), dtype=np.int64).reshape(-1, 3)
-    return vertices[faces]
-
-
-def _transformed(corners: F32, matrix: np.ndarray) -> F32:
-    points = corners.reshape(-1, 3).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-    return points.astype(np.float32).reshape(-1, 3, 3)
-
-
-def _shape_triangles(shape: Any) -> tuple[F32 | None, str]:
-    """Triangles of a shape, and a note where it is no mesh."""
-    from mibvh.tessellate import tessellate
-
-    kind = shape_kind(shape)
-    if shape.is_mesh():
-        if shape.face_count() == 0:
-            return None, f"{kind} {shape.id()!r} has no faces"
-        return mesh_corners(shape), ""
-    corners = tessellate(kind, shape)
-    if corners is None:
-        return None, f"{kind} {shape.id()!r} is not made of triangles and was left out"
-    return corners, f"{kind} {shape.id()!r} was tessellated into {len(corners)} triangles"
-
-
-# ------------------------------------------------------------------ mesh files
-
-
-def _read_mesh(path: Path) -> Triangles:
-    import trimesh
-
-    kind = path.suffix.lower().lstrip(".")
-    if kind not in trimesh.available_formats():
-        raise MibvhError(f"{path}: neither Mitsuba XML nor a mesh format that trimesh reads")
+        raise MibvhError(f"{where}: there is no triangle in it{detail}")
+    total = sum(len(corners) * (1 if at is None else len(at)) for corners, at in shapes)
+    require_memory(total * (36 + 36), f"{where}: its {total:,} triangles")
+    parts = [
+        part
+        for corners, at in shapes
+        for part in ([corners] if at is None else (transformed(corners, m) for m in at))
+    ]
     try:
-        loaded = trimesh.load(path, process=False)
-        mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
-        corners = np.asarray(mesh.triangles, dtype=np.float32)
-    except Exception as error:  # trimesh's readers raise whatever their parsers raise
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise MibvhError(f"{path}: cannot be read as a mesh ({reason})") from None
-    return Triangles(corners, path.stem)
+        triangles = Triangles(np.concatenate(parts), name)
+    except MibvhError as error:
+        raise MibvhError(f"{where}: {str(error).removeprefix(f'{name}: ')}") from None
+    if not triangles.areas.any():
+        raise MibvhError(f"{where}: its {len(triangles):,} triangles all have no area")
+    sensors = []
+    for sensor in parsed.scene.sensors():
+        if makes_rays(sensor):
+            sensors.append(sensor)
+        else:
+            kind = shape_kind(sensor)
+            notes.append(f"{kind} makes no rays from the points of an image and was left out")
+    original = None if parsed.instances else parsed.scene
+    return _with_viewpoints(Scene(name, triangles, sensors, original, notes))
+
+
+def makes_rays(sensor: Any) -> bool:
+    """Whether a sensor is a camera."""
+    mi = mitsuba()
+    try:
+        camera_rays(sensor, mi.Point2f(0.5), mi.Point2f(0.5))
+    except MibvhError:
+        return False
+    return True
 
 
 def _with_viewpoints(scene: Scene) -> Scene:
     if not scene.sensors:
-        from mibvh.viewpoints import automatic_viewpoints
-
         scene.sensors = automatic_viewpoints(scene.triangles, scene.geometry)
     return scene

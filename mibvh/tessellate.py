@@ -7,14 +7,22 @@ from typing import Any
 
 import numpy as np
 
+from mibvh.errors import MibvhError
 from mibvh.triangles import F32, F64
 
 #: Segments around; a sphere has half as many rings.
 _SEGMENTS = 48
+#: Scales that differ by less than this are one scale: Mitsuba's own bound.
+_EVEN = 1e-6
+#: Mitsuba inverts as it composes: a rotation about an axis that is no unit vector comes out wrong.
+_INVERSE = 1e-3
 
 
-def tessellate(kind: str, shape: Any) -> F32 | None:
-    """Tessellate an analytic shape.
+def tessellate(kind: str, shape: Any) -> tuple[F32 | None, str]:
+    """Tessellate an analytic shape as Mitsuba traces it.
+
+    Disks and cylinders are traced under any transform. A sphere stays one: of a transform with
+    shear or uneven scales Mitsuba, with a warning, takes the place and one scale.
 
     Parameters
     ----------
@@ -24,17 +32,45 @@ def tessellate(kind: str, shape: Any) -> F32 | None:
 
     Returns
     -------
-    (N, 3, 3) float32 or None
+    corners : (N, 3, 3) float32 or None
         None for a kind that has no tessellation here.
+    note : str
+        What its transform was not taken for, to go on with in a sentence; mostly empty.
+
+    Raises
+    ------
+    MibvhError
+        If Mitsuba traces the shape elsewhere than it has it.
     """
     import mitsuba as mi
 
     make = {"Sphere": _sphere, "Disk": _disk, "Cylinder": _cylinder}.get(kind)
     if make is None:
-        return None
-    matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+        return None, ""
+    transform = mi.traverse(shape)["to_world"]
+    matrix = np.array(transform.matrix, dtype=np.float64).reshape(4, 4)
+    inverse = np.array(transform.inverse_transpose, dtype=np.float64).reshape(4, 4).T
+    note = ""
+    if kind == "Sphere" and not _is_even(matrix[:3, :3]):
+        box = shape.bbox()
+        lower, upper = np.array(box.min, np.float64), np.array(box.max, np.float64)
+        matrix = np.diag([*(upper - lower) / 2, 1.0])
+        matrix[:3, 3] = (lower + upper) / 2
+        note = "; as in Mitsuba, it stays a sphere under its uneven transform"
+    elif np.abs(matrix[:3, :3] @ inverse[:3, :3] - np.eye(3)).max() > _INVERSE:
+        raise MibvhError(
+            "its transform and Mitsuba's inverse of it do not belong together, so that Mitsuba "
+            "traces it elsewhere than it stands; give axes of rotation unit length"
+        )
     points = make()
-    return (points @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+    return (points @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32), note
+
+
+def _is_even(matrix: F64) -> bool:
+    """Whether a transform turns, mirrors and scales evenly, but does no more."""
+    product = matrix @ matrix.T
+    scale = float(np.trace(product)) / 3
+    return bool(np.abs(product - scale * np.eye(3)).max() <= _EVEN * scale)
 
 
 def _circle() -> F64:

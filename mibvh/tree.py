@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import html
 import os
 from typing import Any
 
@@ -16,6 +17,8 @@ from mibvh.triangles import F32, F64, I32, Triangles
 
 #: Inner nodes on a path; the traversal stack holds as many entries.
 MAX_DEPTH = 64
+#: Deeper trees are refused altogether: exact EPO takes memory by the square of the depth.
+DEEPEST = 1024
 _ARRAYS = ("lower", "upper", "left", "first", "count", "references")
 
 
@@ -36,7 +39,8 @@ class Tree:
         The node's range in ``references`` (for inner nodes too: all of their subtree).
     references : (R,) int32
         Triangle ids in leaf order. An id stands more than once where spatial splits made
-        several references of one triangle.
+        several references of one triangle. All arrays are read-only; ones that can be written
+        to are copied.
     meta : dict
         JSON-able: builder, options, build_seconds, triangles (count), digest, c_inner,
         c_tri, and what the builder reports.
@@ -50,9 +54,50 @@ class Tree:
     references: I32
     meta: dict[str, Any] = dataclasses.field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name in _ARRAYS:
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+
     def __len__(self) -> int:
         """Return the number of nodes."""
         return len(self.left)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Through the constructor: copied arrays can be written to, and are not checked.
+        return Tree, (*(getattr(self, name) for name in _ARRAYS), self.meta)
+
+    def __repr__(self) -> str:
+        if self._faulty:
+            return f"Tree({self._name!r}, not sound)"
+        split = f", {len(self.references):,} references" if self.splits_triangles else ""
+        return (
+            f"Tree({self._name!r}, {self.triangle_count:,} triangles{split}, {len(self):,} nodes, "
+            f"depth {self.depth})"
+        )
+
+    def _repr_html_(self) -> str:
+        """A table, for notebooks."""
+        if self._faulty:
+            return html.escape(repr(self))
+        facts = {"builder": self._name, **self.stats()}
+        rows = "".join(
+            f"<tr><th style='text-align:left'>{name.replace('_', ' ')}</th>"
+            f"<td style='text-align:right'>{html.escape(_figure(value))}</td></tr>"
+            for name, value in facts.items()
+        )
+        return f"<table>{rows}</table>"
+
+    @property
+    def _name(self) -> str:
+        return str(self.meta.get("builder", "tree"))
+
+    @property
+    def _faulty(self) -> bool:
+        try:
+            self.check()
+        except MibvhError:
+            return True
+        return False
 
     def replace(self, **changes: Any) -> Tree:
         """Return a copy with some fields exchanged."""
@@ -68,12 +113,14 @@ class Tree:
     @functools.cached_property
     def half_areas(self) -> F64:
         """(M,) float64: half the surface area of each node's box."""
+        self.check()
         x, y, z = (self.upper.astype(np.float64) - self.lower).T
         return x * y + y * z + z * x
 
     @functools.cached_property
     def parents(self) -> I32:
         """(M,) int32: each node's parent; -1 for the root."""
+        self.check()
         parents = np.full(len(self), -1, np.int32)
         inner = np.flatnonzero(~self.is_leaf).astype(np.int32)
         parents[self.left[inner]] = inner
@@ -83,6 +130,7 @@ class Tree:
     @functools.cached_property
     def depths(self) -> I32:
         """(M,) int32: edges from the root."""
+        self.check()
         depths = np.zeros(len(self), np.int32)
         level = np.zeros(1, np.int64)
         while len(level := level[self.left[level] >= 0]):
@@ -97,16 +145,22 @@ class Tree:
         return int(self.depths.max())
 
     @property
+    def triangle_count(self) -> int:
+        """Number of triangles, of which each has at least one reference."""
+        return int(self.meta.get("triangles") or len(np.unique(self.references)))
+
+    @property
     def splits_triangles(self) -> bool:
         """Whether some triangle has more than one reference."""
-        return len(self.references) > self.meta.get("triangles", len(np.unique(self.references)))
+        return len(self.references) > self.triangle_count
 
     def stats(self) -> dict[str, Any]:
         """Counts of nodes, leaves and references, leaf sizes, depth and bytes."""
+        self.check()
         sizes = self.count[self.is_leaf]
         leaf_depths = self.depths[self.is_leaf]
         return {
-            "triangles": int(self.meta.get("triangles", len(np.unique(self.references)))),
+            "triangles": self.triangle_count,
             "references": len(self.references),
             "nodes": len(self),
             "leaves": len(sizes),
@@ -137,41 +191,187 @@ class Tree:
 
         return faults(self, triangles)
 
-    # ------------------------------------------------------------ files
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`."""
-        write_arrays(path, {name: getattr(self, name) for name in _ARRAYS}, self.meta)
+    # ------------------------------------------------------------ trees of other programs
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Tree:
+    def from_arrays(
+        cls,
+        lower: Any,
+        upper: Any,
+        left: Any,
+        right: Any = None,
+        first: Any = None,
+        count: Any = None,
+        references: Any = None,
+        *,
+        root: int | None = None,
+        name: str = "imported",
+    ) -> Tree:
+        """Take a binary tree of another program: renumbered, with its own boxes and leaves.
+
+        Nodes may stand in any order, and some may be unused.
+
+        Parameters
+        ----------
+        lower, upper : (M, 3) float
+            Boxes in scene units; those of wider types than float32 are rounded outwards.
+        left : (M,) int
+            First child of an inner node; what is negative is a leaf. Where ``first`` is left out,
+            a leaf's is ``~left``. Where nothing is negative, a node with ``count > 0`` is a leaf
+            and ``left`` its first reference.
+        right : (M,) int, optional
+            Second child; by default the one after the first.
+        first, count : (M,) int, optional
+            A leaf's range of the references; of inner nodes not looked at. By default one
+            reference each.
+        references : (R,) int, optional
+            Triangle ids; by default ranges are of triangles themselves.
+        root : int, optional
+            By default node 0, or, where that is somebody's child, the node that is nobody's.
+        name : str
+            What the tree is called where builders are named.
+
+        Returns
+        -------
+        Tree
+
+        Raises
+        ------
+        MibvhError
+            If it is no tree, a leaf is empty or shares its references, or with the first fault
+            that :meth:`check` finds.
+
+        Examples
+        --------
+        >>> import mibvh
+        >>> boxes = [[0.0, 0, 0], [0, 0, 0], [2, 0, 0]], [[3.0, 1, 1], [1, 1, 1], [3, 1, 1]]
+        >>> mibvh.Tree.from_arrays(*boxes, left=[1, -1, -2], right=[2, 0, 0])
+        Tree('imported', 2 triangles, 3 nodes, depth 1)
+        """
+        from mibvh.layouts.arrays import from_arrays
+
+        return from_arrays(
+            lower, upper, left, right, first, count, references, root=root, name=name
+        )
+
+    def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Arrays for another program: what :meth:`from_arrays` takes, by name.
+
+        Returns
+        -------
+        dict of str to array
+            ``lower, upper, left, right, first, count, references``; ``left`` and ``right`` are -1
+            of leaves, and inner nodes have the range of all below them.
+        """
+        from mibvh.layouts.arrays import to_arrays
+
+        return to_arrays(self)
+
+    # ------------------------------------------------------------ files
+
+    def save(self, path: str | os.PathLike[str], key: str | None = None) -> None:
+        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`.
+
+        Parameters
+        ----------
+        path : path
+        key : str, optional
+            What the tree was made from, to be asked for by :meth:`load`.
+        """
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        write_arrays(path, arrays, self.meta, kind="tree", key=key)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], key: str | None = None) -> Tree:
         """Read a tree back.
 
+        Parameters
+        ----------
+        path : path
+        key : str, optional
+            Refuse a file that was not saved with this key.
+
         Raises
         ------
         MibvhError
-            If the file is missing, is no tree, is damaged, or comes from a newer format.
+            If the file is missing, is no tree, is damaged, holds a tree that is not sound,
+            carries another key, or comes from a newer format.
         """
-        arrays, meta = read_arrays(path, "tree", _ARRAYS)
-        return cls(**arrays, meta=meta)
+        arrays, meta = read_arrays(path, "tree", _ARRAYS, key=key)
+        tree = cls(**arrays, meta=meta)
+        try:
+            tree.check()
+        except MibvhError as error:
+            raise MibvhError(f"{path}: {error}") from None
+        return tree
 
     def check_matches(self, triangles: Triangles) -> None:
-        """Refuse triangles that this tree was not built for.
+        """Refuse triangles that this tree was not built for, and a tree that is not sound.
+
+        Every function that takes a tree and its triangles comes here first. The arrays are
+        read-only: the check is made once for each geometry.
 
         Raises
         ------
         MibvhError
-            If the recorded digest, or failing one the reference range, does not fit.
+            If the recorded digest or number of triangles does not fit, or with the first fault
+            that :meth:`validate` finds.
         """
-        digest = self.meta.get("digest")
-        fits = (
-            int(self.references.max()) < len(triangles)
-            if digest is None
-            else (digest == triangles.digest)
-        )
-        if not fits:
+        self.check()
+        digest, count = self.meta.get("digest"), self.meta.get("triangles")
+        if (digest or triangles.digest) != triangles.digest or (count or len(triangles)) != len(
+            triangles
+        ):
             raise MibvhError(
                 f"the tree ({self.meta.get('builder', 'unknown builder')}, "
                 f"{self.meta.get('triangles', '?')} triangles) was built for another geometry "
                 f"than {triangles.name} ({len(triangles)} triangles)"
             )
+        if triangles.digest not in self._sound:
+            from mibvh.validation import geometry_faults
+
+            self._refuse(geometry_faults(self, triangles))
+            self._sound.add(triangles.digest)
+
+    def check(self) -> None:
+        """Refuse a tree that is not sound, as far as can be told without its triangles.
+
+        Raises
+        ------
+        MibvhError
+            With the first fault found.
+        """
+        from mibvh.validation import meta_faults, structure_faults
+
+        self._refuse(meta_faults(self.meta))
+        if "structure" not in self._sound:
+            self._refuse(structure_faults(self))
+            self._sound.add("structure")
+
+    @functools.cached_property
+    def _sound(self) -> set[str]:
+        """What the arrays were found sound against: "structure", and digests of triangles."""
+        return set()
+
+    def _refuse(self, faults: list[str]) -> None:
+        if faults:
+            raise MibvhError(f"the tree is not sound: {faults[0]}")
+
+
+def _figure(value: Any) -> str:
+    """A number with commas, or with few digits; text as it is."""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _read_only(array: Any) -> npt.NDArray[Any]:
+    """The array if nobody can write to it, or else a copy."""
+    array = np.asarray(array)
+    base: Any = array
+    while isinstance(base, np.ndarray) and not base.flags.writeable:
+        base = base.base
+    if isinstance(base, np.ndarray) or not array.flags.c_contiguous:
+        array = array.copy(order="C")
+        array.flags.writeable = False
+    return array

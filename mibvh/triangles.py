@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+import os
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,9 @@ class Triangles:
 
     def __len__(self) -> int:
         return len(self.corners)
+
+    def __repr__(self) -> str:
+        return f"Triangles({self.name!r}, {len(self):,} triangles)"
 
     @functools.cached_property
     def lower(self) -> F32:
@@ -130,8 +134,15 @@ def rotation_about(axis: tuple[float, float, float], degrees: float) -> F64:
 
 
 def as_triangles(triangles: Any) -> Triangles:
-    """Take :class:`Triangles`, what has ``.triangles`` (a Scene, a trimesh), or an array."""
+    """Take :class:`Triangles`, what has ``.triangles`` (a Scene, a trimesh), an array, or a name.
+
+    A name or file of a scene is loaded.
+    """
     if isinstance(triangles, Triangles):
         return triangles
+    if isinstance(triangles, str | os.PathLike):
+        from mibvh.scene import load
+
+        return load(triangles).triangles
     inner = getattr(triangles, "triangles", triangles)
     return inner if isinstance(inner, Triangles) else Triangles(np.asarray(inner))

@@ -1,4 +1,4 @@
-"""Viewpoints for scenes that bring no camera."""
+"""Viewpoints: the rays of cameras, and cameras for scenes that bring none."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from mibvh.errors import MibvhError
 from mibvh.triangles import F64, Triangles
 from mibvh.variant import mitsuba
 
@@ -13,6 +14,41 @@ _PROBES = 1024
 _DIRECTIONS = 64
 _VIEWPOINTS = 4
 _FIELD_OF_VIEW = 65.0
+
+
+def camera_rays(sensor: Any, place: Any, aperture: Any) -> Any:
+    """Rays of a sensor through places of its film.
+
+    Parameters
+    ----------
+    sensor : mitsuba.Sensor
+    place : Point2f
+        On the film, from 0 to 1.
+    aperture : Point2f
+        On the lens, from 0 to 1.
+
+    Returns
+    -------
+    mitsuba.Ray3f
+
+    Raises
+    ------
+    MibvhError
+        If it is a sensor that makes no rays.
+    """
+    mi = mitsuba()
+    where = mi.Float(0), mi.Float(0.5), place, aperture
+    try:
+        ray, _ = sensor.sample_ray(*where)
+    except RuntimeError:
+        try:  # irradiance meters have only this one
+            ray, _ = sensor.sample_ray_differential(*where)
+        except RuntimeError as error:
+            raise MibvhError(
+                f"the sensor {sensor.class_name()} {sensor.id()!r} makes no rays "
+                f"({' '.join(str(error).split())})"
+            ) from None
+    return mi.Ray3f(ray)
 
 
 def automatic_viewpoints(triangles: Triangles, geometry: Any) -> list[Any]:

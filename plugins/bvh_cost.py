@@ -99,6 +99,3 @@ class BvhCost(mi.SamplingIntegrator):
     def to_string(self) -> str:
         """Describe the integrator as Mitsuba's own do."""
         return f"BvhCost[builders = {[builder.name for builder in self.builders]}]"
-
-
-mi.register_integrator("bvh_cost", BvhCost)

@@ -37,7 +37,9 @@ class BvhPath(mi.SamplingIntegrator):
     The image is that of Mitsuba's ``path``: the algorithm is the same (next-event estimation and
     BSDF sampling, weighted by the power heuristic of Veach), and it takes the same random numbers
     in the same order. Like ``path`` it passes through participating media as if they were not
-    there. Not differentiable.
+    there. Rays leave triangles nearer to them than those of ``path``: images of tiny scenes, and of
+    scenes far from the origin, are those of the same scene elsewhere, which ``path``'s are not.
+    Not differentiable.
 
     .. tabs::
         .. code-tab:: xml
@@ -120,7 +122,7 @@ class BvhPath(mi.SamplingIntegrator):
             lit = go_on & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             ds, weight = scene.sample_emitter_direction(si, sampler.next_2d(), False, lit)
             lit &= ds.pdf != 0
-            lit &= ~tree.occluded(si.spawn_ray_to(ds.p), lit)
+            lit &= ~tree.occluded(tree.spawn_ray_to(si, ds.p), lit)
             wo = si.to_local(ds.d)
 
             # ------------------------ BSDF sampling -----------------------
@@ -133,7 +135,7 @@ class BvhPath(mi.SamplingIntegrator):
 
             # ------------- Loop variables for the next vertex -------------
 
-            ray = si.spawn_ray(si.to_world(bsdf_sample.wo))
+            ray = tree.spawn_ray(si, si.to_world(bsdf_sample.wo))
             β *= bsdf_weight
             η *= bsdf_sample.eta
             passed = mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Null)
@@ -163,7 +165,7 @@ class BvhPath(mi.SamplingIntegrator):
         onward = mi.Ray3f(ray)
         while dr.hint(passing, label="behind emitters"):
             si = pi.compute_surface_interaction(onward, mi.RayFlags.Minimal, passing)
-            onward = si.spawn_ray(ray.d)
+            onward = tree.spawn_ray(si, ray.d)
             pi = tree.intersect(onward, passing)
             passing &= pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711 - lanes
         return pi
@@ -181,6 +183,3 @@ def _mis(a: mi.Float, b: mi.Float) -> mi.Float:
     """Power heuristic."""
     weight = dr.square(a) / (dr.square(a) + dr.square(b))
     return dr.select(dr.isfinite(weight), weight, 0)
-
-
-mi.register_integrator("bvh_path", BvhPath)

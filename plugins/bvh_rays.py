@@ -123,6 +123,3 @@ class BvhRays(mi.SamplingIntegrator):
     def to_string(self) -> str:
         """Describe the integrator as Mitsuba's own do."""
         return f"BvhRays[{', '.join(f'{k} = {v}' for k, v in self.how.items())}]"
-
-
-mi.register_integrator("bvh_rays", BvhRays)

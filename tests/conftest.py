@@ -8,12 +8,26 @@ import numpy as np
 import pytest
 
 import mibvh
+from mibvh.studies.record.options import StudyOptions
+from mibvh.studies.record.scene import RayFacts, SceneRecord, TreeRow
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Generated scenes go to a folder of the test run, not to the user's cache."""
     os.environ["MIBVH_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave tests marked ``cuda`` out where there is no device to run them on."""
+    marked = [item for item in items if item.get_closest_marker("cuda")]
+    if not marked:
+        return
+    import drjit as dr
+
+    if not dr.has_backend(dr.JitBackend.CUDA):
+        config.hook.pytest_deselected(items=marked)
+        items[:] = [item for item in items if item not in marked]
 
 
 def soup(count: int, seed: int = 0, size: float = 0.1) -> mibvh.Triangles:
@@ -53,6 +67,22 @@ def clipped(points, low, high):
                     out.append(p + (q - p) * (a / (a - b)))
             points = out
     return np.array(points).reshape(-1, 3)
+
+
+def tree_row(builder: str = "bbvh", **values: float) -> TreeRow:
+    """Return a tree of a study of which only some quantities are known."""
+    return TreeRow(
+        builder=builder, options={"max_leaf": 8}, values=values, sah_by_depth=[], epo_by_depth=[],
+        cost_groups=[], costs_by_origin=[], leaf_distribution=[], build_report={},
+    )  # fmt: skip
+
+
+def scene_record(trees: list[TreeRow], name: str = "one", triangles: int = 100) -> SceneRecord:
+    """Return a scene of a study of which only the trees are known."""
+    return SceneRecord(
+        scene=name, triangles=triangles, digest="", notes=[], rays=RayFacts(9, "", 1, 0, {}),
+        timing={}, trees=trees, options=StudyOptions(), environment={}, picture="", seconds={},
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="session")

@@ -5,11 +5,18 @@ import json
 
 import pytest
 
-from mibvh.studies import board
-from mibvh.studies.board import Board
+from mibvh.studies.record.progress import Progress
+from mibvh.studies.report import board
+from mibvh.studies.report.board import Board
 
-STEPS = [("one", "rays", 0.0), ("one", "build bbvh", 0.25), ("one", "time scalar", 0.5),
-         ("one", "done", 1.0), ("two", "count lbvh", 0.5), ("two", "done", 1.0)]  # fmt: skip
+STEPS = [
+    Progress("one", "", "rays", None, 0.0),
+    Progress("one", "", "build", "bbvh", 0.25),
+    Progress("one", "rotation", "build", "bbvh", 0.5),
+    Progress("one", "", "done", None, 1.0),
+    Progress("two", "", "count", "lbvh", 0.5),
+    Progress("two", "", "done", None, 1.0),
+]
 
 
 @pytest.fixture
@@ -23,7 +30,7 @@ def clock(monkeypatch):
 def show(clock, lines):
     with Board(2, lines) as shown:
         for step in STEPS:
-            shown(*step)
+            shown(step)
             clock[0] += 10
 
 
@@ -33,22 +40,31 @@ def test_lines_for_machines(capsys, clock):
     lines = [json.loads(line) for line in out.splitlines()]
     assert err == ""
     assert {line["event"] for line in lines} == {"progress"}
-    told = ("scene", "stage", "builder", "done", "seconds_left", "scenes_done", "all_seconds_left")
+    told = (
+        "scene",
+        "experiment",
+        "stage",
+        "builder",
+        "done",
+        "seconds_left",
+        "scenes_done",
+        "all_seconds_left",
+    )
     assert [tuple(line[name] for name in told) for line in lines] == [
-        ("one", "rays", None, 0.0, None, 0, None),
+        ("one", "", "rays", None, 0.0, None, 0, None),
         # A quarter of the first of two scenes took ten seconds.
-        ("one", "build", "bbvh", 0.25, 30.0, 0, 70.0),
-        ("one", "time scalar", None, 0.5, 20.0, 0, 60.0),
-        ("one", "done", None, 1.0, 0.0, 1, 30.0),
-        ("two", "count", "lbvh", 0.5, 0.0, 1, 13.3),
-        ("two", "done", None, 1.0, 0.0, 2, 0.0),
+        ("one", "", "build", "bbvh", 0.25, 30.0, 0, 70.0),
+        ("one", "rotation", "build", "bbvh", 0.5, 20.0, 0, 60.0),
+        ("one", "", "done", None, 1.0, 0.0, 1, 30.0),
+        ("two", "", "count", "lbvh", 0.5, 0.0, 1, 13.3),
+        ("two", "", "done", None, 1.0, 0.0, 2, 0.0),
     ]
 
 
 def test_a_stage_is_told_once_a_second(capsys, clock):
     with Board(1, lines=True) as shown:
         for i in range(30):
-            shown("one", "time scalar", 0.5 + i / 100)
+            shown(Progress("one", "", "time scalar", None, 0.5 + i / 100))
             clock[0] += 0.1
     assert len(capsys.readouterr().out.splitlines()) == 3
 
@@ -68,3 +84,8 @@ def test_bars_on_a_terminal(monkeypatch, clock):
     show(clock, lines=False)
     assert "study: 2 of 2 scenes" in terminal.getvalue()
     assert "\x1b[" in terminal.getvalue()
+
+
+def test_a_step_in_words():
+    assert str(STEPS[0]) == "rays"
+    assert str(STEPS[2]) == "build bbvh (rotation)"

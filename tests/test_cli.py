@@ -76,7 +76,7 @@ def test_a_study_for_machines(cli, tmp_path):
     assert result["event"] == "result"
     assert [row["builder"] for row in result["trees"]] == ["lbvh"]
     rays = json.loads((tmp_path / "cache" / "scene-cornell@1000.json").read_text())["value"]["rays"]
-    assert rays["samples"] == 2
+    assert rays["meta"]["samples"] == 2
     assert rays["count"] > 1.5 * 160 * 120 * rays["viewpoints"]
 
 
@@ -145,7 +145,19 @@ def test_usage_errors_exit_with_2(cli):
 
 @pytest.mark.parametrize(
     "command",
-    ["build", "metrics", "rays", "trace", "study", "report", "builders", "doctor", "scenes"],
+    [
+        "build",
+        "metrics",
+        "rays",
+        "trace",
+        "study",
+        "report",
+        "builders",
+        "doctor",
+        "scenes",
+        "experiments",
+        "predictors",
+    ],
 )
 def test_help(cli, command):
     code, out, _ = cli(command, "--help")

@@ -9,7 +9,7 @@ import time
 import pytest
 
 import mibvh
-from mibvh.studies.options import StudyOptions
+from mibvh.studies.record.options import StudyOptions
 
 pytest.importorskip("distributed", reason="Dask is not installed: pip install 'mibvh[cluster]'")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
@@ -39,8 +39,8 @@ def test_a_killed_worker_loses_its_scene_only(cluster, tmp_path):
     seen, killed = [], []
     finished = threading.Event()
 
-    def watch(scene, stage, done):
-        seen.append((scene, stage, done))
+    def watch(step):
+        seen.append((step.scene, step.stage, step.done))
 
     def kill_one():
         """Kill the worker of the first scene that is being built."""

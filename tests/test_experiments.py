@@ -6,28 +6,31 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import soup
+from conftest import scene_record, soup, tree_row
 
 import mibvh
-from mibvh.studies import rotation
-from mibvh.studies.answers import answers
-from mibvh.studies.catalogue import (
+from mibvh.studies.analyse.builders import relative_to_best, splitting_builders
+from mibvh.studies.analyse.depth import remaining_relative
+from mibvh.studies.measure import rotation
+from mibvh.studies.measure.depth import (
+    SPLITS,
+    DepthResult,
+    remaining_after_splits,
+    remaining_by_depth,
+    worst_cases,
+)
+from mibvh.studies.measure.rotation import RotationResult
+from mibvh.studies.measure.sensitivity import SensitivityResult
+from mibvh.studies.paper.catalogue import (
     find_paper_scene,
     paper_comparison,
-    paper_scenes,
     scenes_in,
     triangle_count_notes,
 )
-from mibvh.studies.claims import claims
-from mibvh.studies.depth import (
-    SPLITS,
-    relative_to_best,
-    remaining_after_splits,
-    remaining_by_depth,
-    remaining_relative,
-    worst_cases,
-)
-from mibvh.studies.tables import tidy_table
+from mibvh.studies.paper.claims import claims
+from mibvh.studies.paper.published import published
+from mibvh.studies.report.tables import answers
+from mibvh.studies.report.tidy import tidy_table
 
 CHOICES = {"width": 24, "height": 16, "scalar_rays": 256, "seconds": 0.0,
            "builders": ("bbvh", "sbvh", "lbvh")}  # fmt: skip
@@ -42,7 +45,7 @@ def full(tmp_path_factory, cornell):
     times = {p: p.stat().st_mtime_ns for p in (folder / "cache").glob("[!s]*")}
     done = []
     more = mibvh.study([cornell], folder, experiments=ALL,
-                       progress=lambda _, stage, share: done.append(share), **CHOICES)  # fmt: skip
+                       progress=lambda step: done.append(step.done), **CHOICES)  # fmt: skip
     return less, times, more, done
 
 
@@ -51,9 +54,8 @@ def full(tmp_path_factory, cornell):
 
 def test_only_what_is_asked_for_is_done(full):
     record = full[0].scenes[0]
-    assert "rotation" not in record
-    assert "sensitivity" not in record
-    assert "remaining_by_depth" not in record["trees"][0]
+    assert record.results == {}
+    assert set(full[2].scenes[0].results) == {"depth", "rotation", "sensitivity"}
     assert full[0].rotation.empty
     assert full[0].sensitivity.empty
     assert full[0].depth.empty
@@ -72,11 +74,13 @@ def test_again_recomputes_nothing(full, cornell, monkeypatch):
     def fail(*_, **__):
         pytest.fail("something was made again")
 
-    for name in ("pieces.build", "pieces.measure", "pieces.Tracer", "pieces.overlap",
-                 "run.diffuse_rays", "rotation.measure", "rotation.make_records",
-                 "sensitivity.finish", "sensitivity.diffuse_rays",
-                 "sensitivity.counted_costs"):  # fmt: skip
+    for name in ("measure.trees.build", "measure.times.measure", "measure.counts.Tracer",
+                 "measure.times.Tracer", "measure.scene.diffuse_rays",
+                 "measure.rotation.run_stopwatch", "measure.rotation.make_records",
+                 "measure.sensitivity.finish", "measure.sensitivity.diffuse_rays",
+                 "measure.sensitivity.counted_costs"):  # fmt: skip
         monkeypatch.setattr(f"mibvh.studies.{name}", fail)
+    monkeypatch.setattr("mibvh.metrics.registry.overlap", fail)
     again = mibvh.study([cornell], full[2].folder, experiments=ALL, **CHOICES)
     assert again.rotation.equals(full[2].rotation)
     assert again.sensitivity.equals(full[2].sensitivity)
@@ -90,9 +94,9 @@ def test_progress_goes_forward_and_ends_at_one(full):
 # ------------------------------------------------------------------ rotation
 
 
-def test_turned_rays_hit_the_same(cornell):
+def test_rotated_rays_hit_the_same(cornell):
     rays = mibvh.diffuse_rays(cornell, width=24, height=16)
-    scene, moved = rotation.turned(cornell, rays)
+    scene, moved = rotation.rotated(cornell, rays)
     for builder in ("bbvh", "sbvh"):
         hits = [
             mibvh.trace(mibvh.build(triangles, builder), triangles, r, repeats=1)
@@ -110,7 +114,7 @@ def test_factors_are_one_where_turning_changes_nothing(monkeypatch, tmp_path):
     scene = mibvh.load(soup(300))
     found = mibvh.study([scene], tmp_path, experiments=("rotation",),
                         **{**CHOICES, "builders": ("bbvh", "agglo", "hill")})  # fmt: skip
-    assert found.scenes[0]["rotation"]["same_hits"] > 0.999
+    assert found.scenes[0].result(RotationResult).same_hits > 0.999
     for name in ("sah", "epo", "counted_cost", "finite_rays"):
         np.testing.assert_allclose(found.rotation[name], 1, rtol=2e-3, err_msg=name)
 
@@ -119,10 +123,10 @@ def test_factors_of_a_scene_of_walls(full):
     """Axis-aligned walls lose their thin boxes, and the ends of rays lose more than long rays."""
     factors, record = full[2].rotation, full[2].scenes[0]
     assert factors["builder"].tolist() == list(CHOICES["builders"])
-    assert record["rotation"]["same_hits"] > 0.999
+    result = record.result(RotationResult)
+    assert result.same_hits > 0.999
     for i, row in factors.iterrows():
-        tree = record["trees"][i]
-        turned = record["rotation"]["trees"][i]
+        tree, turned = record.trees[i], result.trees[i]
         assert row["sah"] == turned["sah"] / tree["sah"]
         assert row["epo"] == turned["epo"] / tree["epo"]
         assert row["counted_cost"] == turned["counted_cost"] / tree["counted_cost"]
@@ -132,9 +136,9 @@ def test_factors_of_a_scene_of_walls(full):
 
 
 def test_rotation_rebuilds_trees(full, cornell):
-    triangles = rotation.turned(cornell, mibvh.diffuse_rays(cornell, width=4, height=4))[0]
+    triangles = rotation.rotated(cornell, mibvh.diffuse_rays(cornell, width=4, height=4))[0]
     tree = mibvh.build(triangles.triangles, "lbvh")
-    assert full[2].scenes[0]["rotation"]["trees"][2]["sah"] == mibvh.sah(tree)
+    assert full[2].scenes[0].result(RotationResult).trees[2]["sah"] == mibvh.sah(tree)
 
 
 # ------------------------------------------------------------------ depth
@@ -191,7 +195,7 @@ def test_the_sweep_minimises_what_remains(full):
 
 def test_depth_table_adds_up(full):
     for (_, builder), group in full[2].depth.groupby(["scene", "builder"]):
-        tree = next(t for t in full[2].scenes[0]["trees"] if t["builder"] == builder)
+        tree = next(t for t in full[2].scenes[0].trees if t.builder == builder)
         assert group["sah"].sum() == pytest.approx(tree["sah"])
         assert group["epo"].sum() == pytest.approx(tree["epo"])
         assert group["depth"].tolist() == list(range(tree["depth"] + 1))
@@ -204,7 +208,7 @@ def test_own_choices_give_the_study_s_own_r(full):
     """The leaf size, bounce and viewpoints of the study are among those that are tried."""
     r = full[2].correlations.query("measurement == 'counted_cost'").set_index("predictor")
     table = full[2].sensitivity.set_index(["experiment", "choice"])
-    views = full[2].scenes[0]["rays"]["viewpoints"]
+    views = full[2].scenes[0].rays.viewpoints
     for case in (("leaf size", 8), ("bounce", 1), ("viewpoints", views)):
         row = table.loc[case]
         assert float(row["sah"].iloc[0] if isinstance(row, pd.DataFrame) else row["sah"]) == (
@@ -217,23 +221,23 @@ def test_own_choices_give_the_study_s_own_r(full):
 
 
 def test_leaf_sizes_and_bounces_against_the_library(full, cornell):
-    found = full[2].scenes[0]["sensitivity"]
+    found = full[2].scenes[0].result(SensitivityResult)
     rays = mibvh.diffuse_rays(cornell, width=24, height=16, samples=1, bounces=3)
     for i, builder in enumerate(("bbvh", "sbvh")):
         tree = mibvh.build(cornell.triangles, builder, max_leaf=1)
-        one = found["leaf_sizes"][i][0]
-        assert one["max_leaf"] == 1
-        assert one["mean_leaf_size"] == 1
+        one = found.leaf_sizes[i][0]
+        assert one.max_leaf == 1
+        assert one.values["mean_leaf_size"] == 1
         if builder == "bbvh":
-            assert one["sah"] == mibvh.sah(tree)
-            assert one["epo"] == mibvh.epo(tree, cornell.triangles)
+            assert one.values["sah"] == mibvh.sah(tree)
+            assert one.values["epo"] == mibvh.epo(tree, cornell.triangles)
         tree = mibvh.build(cornell.triangles, builder)
-        for entry in found["bounces"][i]:
-            chosen = (rays.bounce == entry["bounce"]) & (rays.viewpoint == entry["viewpoint"])
+        for entry in found.bounces[i]:
+            chosen = (rays.bounce == entry.bounce) & (rays.viewpoint == entry.viewpoint)
             hits = mibvh.trace(tree, cornell.triangles, rays.select(chosen), repeats=1)
-            assert entry["bounce"] > 1
-            assert entry["rays"] == chosen.sum()
-            assert entry["cost"] == pytest.approx(hits.counted_cost(), rel=1e-9)
+            assert entry.bounce > 1
+            assert entry.rays == chosen.sum()
+            assert entry.cost == pytest.approx(hits.counted_cost(), rel=1e-9)
 
 
 def test_tidy_rows_say_what_they_are_of(full):
@@ -242,25 +246,27 @@ def test_tidy_rows_say_what_they_are_of(full):
     plain = table.query("experiment == 'prediction' and measurement == 'sah'")
     assert plain["value"].tolist() == full[2].table["sah"].tolist()
     turned = table.query("rotation == 45 and measurement == 'epo' and builder == 'sbvh'")
-    assert turned["value"].tolist() == [record["rotation"]["trees"][1]["epo"]]
+    assert turned["value"].tolist() == [record.result(RotationResult).trees[1]["epo"]]
     sizes = table.query("experiment == 'leaf size' and measurement == 'sah' and builder == 'bbvh'")
     assert sizes["max_leaf"].tolist() == [1, 2, 4, 8, 16]
     deep = table.query("bounce == 3 and builder == 'lbvh'")
-    assert len(deep) == record["rays"]["viewpoints"]
+    assert len(deep) == record.rays.viewpoints
     assert (deep["measurement"] == "counted_cost").all()
     assert json.loads(sizes["builder_options"].iloc[0])["max_leaf"] == 1
-    assert turned["digest"].tolist() == [record["rotation"]["digest"]] != [record["digest"]]
+    assert turned["digest"].tolist() == [record.result(RotationResult).digest] != [record.digest]
     assert set(table.query("measurement == 'scalar_ns'")["rays"]) <= set(range(1, 257))
     assert plain["rays"].tolist() == [0, 0, 0]
     again = table.query("measurement == 'simd_ns_again'")["value"].item()
-    of_first = record["trees"][0]["simd_ns"] * (1 + record["timing"]["simd"]["repeat_difference"])
+    of_first = record.trees[0]["simd_ns"] * (1 + record.timing["simd"].repeat_difference)
     assert again == of_first
     cut = table.query("experiment == 'depth' and builder == 'lbvh' and cut_depth >= 0")
-    for name, kept in (("epo_at_depth", "epo_by_depth"), ("nodes_at_depth", "nodes_by_depth")):
+    cuts = record.result(DepthResult).trees
+    kept = {"epo_at_depth": record.trees[2].epo_by_depth, "nodes_at_depth": cuts[2].nodes_by_depth}
+    for name, values in kept.items():
         found = cut.loc[cut["measurement"] == name, "value"]
-        assert found.tolist() == record["trees"][2][kept]
+        assert found.tolist() == values
     left = table.query("experiment == 'splits' and builder == 'bbvh'").set_index("splits")["value"]
-    assert left[7] == record["trees"][0]["remaining_after_splits"][3]
+    assert left[7] == cuts[0].remaining_after_splits[3]
     key = ["scene", "builder", "experiment", "rotation", "max_leaf", "bounce", "viewpoint",
            "cut_depth", "splits", "measurement"]  # fmt: skip
     assert not table.duplicated(key).any()
@@ -271,7 +277,7 @@ def test_tidy_rows_say_what_they_are_of(full):
 
 
 def test_catalogue():
-    known = paper_scenes()
+    known = published().known_scenes
     assert len(known) == 16
     assert [s.name for s in known] == sorted(s.name for s in known)
     hairball = find_paper_scene("HairBall")
@@ -308,7 +314,7 @@ def test_a_folder_of_scenes(tmp_path):
     (tmp_path / "blade" / "scene.xml").unlink()
     found = mibvh.study([tmp_path], tmp_path / "out", **CHOICES)
     assert found.table["scene"].unique().tolist() == ["sibenik"]
-    assert any("75,284" in note for note in found.scenes[0]["notes"])
+    assert any("75,284" in note for note in found.scenes[0].notes)
     row = paper_comparison(found.scenes, found.correlations).iloc[0]
     assert (row["scene"], row["triangles"], row["expected"]) == ("sibenik", 60, 75284)
     assert row["paper_r_sah"] is None or np.isnan(row["paper_r_sah"])
@@ -330,13 +336,13 @@ def test_every_experiment_has_its_tables(full):
     page = full[2].report.read_text()
     assert "whether they held" in page
     assert page.count("data-tip") > 20
-    for name in ("rotation", f"{full[2].scenes[0]['scene']}-remaining"):
+    for name in ("rotation", f"{full[2].scenes[0].scene}-remaining"):
         assert (full[2].folder / "figures" / f"{name}.png").stat().st_size > 5000
 
 
 def test_claims_are_judged_by_the_results(full):
     table = claims(full[2].scenes, full[2].correlations).set_index("claim")
-    turning = next(c for c in table.index if c.startswith("turning the scene"))
+    turning = next(c for c in table.index if c.startswith("rotating the scene"))
     mean = full[2].rotation.groupby("scene")[["counted_cost", "sah"]].mean().mean()
     assert f"SAH {mean['sah']:.1f}×" in table.loc[turning, "ours"]
     assert mean["counted_cost"] > mean["sah"]
@@ -349,11 +355,11 @@ def test_a_claim_can_fail(full):
     """Records in which overlap shrinks when the scene is turned, and the sweep has most of it."""
     record = copy.deepcopy(full[2].scenes[0])
     before = {"bbvh": 30.0, "sbvh": 1.0, "lbvh": 20.0}
-    for tree, turned in zip(record["trees"], record["rotation"]["trees"], strict=True):
-        tree["epo"] = before[tree["builder"]]
-        turned["epo"] = 0.5 * tree["epo"]
+    for tree, turned in zip(record.trees, record.result(RotationResult).trees, strict=True):
+        tree.values["epo"] = before[tree.builder]
+        turned.values["epo"] = 0.5 * tree["epo"]
     table = claims([record], full[2].correlations).set_index("claim")
-    assert table.loc["of all figures EPO grows most with turning", "held"] == "no"
+    assert table.loc["of all figures EPO grows most with rotating", "held"] == "no"
     sweeps = table.loc["top-down sweeps optimise EPO much better than SAH"]
     assert sweeps["held"] == "partly"
     assert "bbvh: EPO 150%" in sweeps["ours"]
@@ -362,9 +368,11 @@ def test_a_claim_can_fail(full):
 def test_the_sweep_is_compared_with_trees_that_do_not_split_triangles():
     """bbvh far above a spatial split's tree, but not above the others."""
     builders = {"bbvh": 10.0, "sbvh": 5.0, "hill": 9.0, "agglo": 9.5, "lbvh": 12.0}
-    record = {"scene": "one", "trees": [{"builder": b, "sah": v} for b, v in builders.items()]}
+    record = scene_record(
+        [tree_row(b, sah=v, references=120 if b == "sbvh" else 100) for b, v in builders.items()]
+    )
     assert relative_to_best([record]).loc["bbvh", "max"] == 2.0
-    alike = relative_to_best([record], without=("sbvh", "streelet"))
+    alike = relative_to_best([record], without=splitting_builders([record]))
     assert alike.loc["bbvh", "max"] == pytest.approx(10 / 9)
     assert "sbvh" not in alike.index
 
@@ -373,8 +381,8 @@ def test_lcv_of_the_sweeps_is_held_against_every_builder(full):
     held = []
     for lcv in (2.0, 0.5):  # of lbvh
         record = copy.deepcopy(full[2].scenes[0])
-        for tree in record["trees"]:
-            tree["lcv"] = {"bbvh": 1.1, "sbvh": 1.0, "lbvh": lcv}[tree["builder"]]
+        for tree in record.trees:
+            tree.values["lcv"] = {"bbvh": 1.1, "sbvh": 1.0, "lbvh": lcv}[tree.builder]
         table = claims([record], full[2].correlations).set_index("claim")
         held.append(table.loc["top-down sweeps have the lowest LCV of all", "held"])
     assert held == ["yes", "no"]
@@ -385,9 +393,9 @@ def test_noise_is_not_judged(full):
     record = copy.deepcopy(full[2].scenes[0])
     held = []
     for error in (0.001, 0.2):
-        for tree in [*record["trees"], *record["rotation"]["trees"]]:
-            tree["scalar_error"] = error
-            tree["simd_error"] = error
+        for tree in [*record.trees, *record.result(RotationResult).trees]:
+            tree.values["scalar_error"] = error
+            tree.values["simd_error"] = error
         table = claims([record], full[2].correlations).set_index("claim")
         held.append(table["held"])
         reliable = table.loc["SAH alone is not a reliable predictor of time", "judged by"]

@@ -68,7 +68,7 @@ def test_the_sah_of_evenly_spread_lines_is_the_sah():
     tree = mibvh.build(triangles, "bbvh")
     z = []
     for seed in range(40):
-        found = mibvh.sah(tree, ray_lines=even_lines(triangles, 2000, seed))
+        found = mibvh.sah_of_lines(tree, even_lines(triangles, 2000, seed))
         z.append((found.value - mibvh.sah(tree)) / found.standard_error)
     assert found.standard_error < 0.04 * found.value
     # Of 40 standard normal numbers: a mean of no more than 3.5 / sqrt(40), a deviation near 1.
@@ -81,7 +81,7 @@ def test_a_line_counts_once_however_many_rays_lie_on_it():
     triangles = soup(500, 3, 0.1)
     tree = mibvh.build(triangles, "bbvh")
     lines = even_lines(triangles, 4000, 1)
-    whole = mibvh.sah(tree, ray_lines=lines)
+    whole = mibvh.sah_of_lines(tree, lines)
     lower, upper = triangles.bounds.astype(float)
     with np.errstate(divide="ignore"):
         sides = np.stack([(lower - lines.o) / lines.d, (upper - lines.o) / lines.d])
@@ -105,7 +105,7 @@ def test_a_line_counts_once_however_many_rays_lie_on_it():
 
     found = mibvh.ray_lines(triangles, rays, Ends)
     np.testing.assert_allclose(found.share, np.r_[np.full(10000, 0.2), np.ones(2000)], atol=1e-3)
-    assert mibvh.sah(tree, ray_lines=found).value == pytest.approx(whole.value, rel=1e-3)
+    assert mibvh.sah_of_lines(tree, found).value == pytest.approx(whole.value, rel=1e-3)
     # With every ray counted alike, the chopped half has five times the weight.
     assert line_costs(tree, found)[:10000].mean() == pytest.approx(
         line_costs(tree, lines)[:2000].mean(), rel=1e-3
@@ -126,12 +126,12 @@ def test_lines_of_traced_rays_by_hand():
     np.testing.assert_allclose(lines.length[:2], [0.75, 0.7], rtol=1e-6)
     whole, part = line_costs(tree, lines), line_costs(tree, lines, whole=False)
     assert (part < whole)[:2].all()
-    found = mibvh.sah(tree, ray_lines=lines)
+    found = mibvh.sah_of_lines(tree, lines)
     assert found.value == pytest.approx((0.75 * whole[0] + 0.7 * whole[1]) / 1.45)
     assert found.points == 2
     assert len(mibvh.ray_lines(box, rays, hits, 2)) == 2
     with pytest.raises(mibvh.MibvhError, match="too few"):
-        mibvh.sah(tree, ray_lines=mibvh.ray_lines(box, rays, hits, 1))
+        mibvh.sah_of_lines(tree, mibvh.ray_lines(box, rays, hits, 1))
     with pytest.raises(mibvh.MibvhError, match="at least one ray"):
         mibvh.ray_lines(box, rays, hits, 0)
     with pytest.raises(mibvh.MibvhError, match="hits of 3"):

@@ -211,3 +211,44 @@ def test_weights_move_epo_to_where_rays_end():
     # Only the second square has ray ends: a quarter of its area lies in the first leaf.
     weighted = mibvh.epo(tree, hand_triangles(0.25), weights=[0, 0, 5, 5])
     assert weighted == pytest.approx(2 * 0.25, abs=1e-12)
+
+
+def test_what_epo_does_not_know_or_use_is_refused():
+    tree, triangles = hand_tree(), hand_triangles(0.25)
+    with pytest.raises(TypeError, match=r"epo\(\) got an unexpected keyword argument 'fragmets'"):
+        mibvh.epo(tree, triangles, samples=64, fragmets=True)
+    with pytest.raises(TypeError, match="'fragmets'"):
+        mibvh.epo(tree, triangles, fragmets=True)
+    with pytest.raises(TypeError, match="'lines'"):
+        mibvh.sah(tree, lines=3)
+    for unused in ({"weights": [1] * 4}, {"fragments": True}, {"threads": 2}, {"ray_ends": None}):
+        with pytest.raises(mibvh.MibvhError, match=r"takes no .* together"):
+            mibvh.epo(tree, triangles, samples=64, **unused)
+    with pytest.raises(mibvh.MibvhError, match="takes no seed together"):
+        mibvh.epo(tree, triangles, seed=3)
+
+
+def test_estimates_by_their_old_names_warn():
+    triangles = soup(60, 1, 0.3)
+    tree = mibvh.build(triangles, "lbvh")
+    with pytest.warns(DeprecationWarning, match="now estimate_epo"):
+        old = mibvh.epo(tree, triangles, samples=64, seed=3)
+    assert old == mibvh.estimate_epo(tree, triangles, 64, 3)
+    ids = np.arange(60, dtype=np.int32)
+    ends = mibvh.RayEnds(triangles.corners[:, 0].astype(np.float64), ids, 60)
+    with pytest.warns(DeprecationWarning, match="now epo_at_ends"):
+        old = mibvh.epo(tree, triangles, ray_ends=ends)
+    assert old == mibvh.epo_at_ends(tree, triangles, ends)
+    lines = mibvh.RayLines(ends.points, np.ones((60, 3)), np.full(60, np.inf), np.ones(60))
+    with pytest.warns(DeprecationWarning, match="now sah_of_lines"):
+        old = mibvh.sah(tree, ray_lines=lines)
+    assert old == mibvh.sah_of_lines(tree, lines)
+
+
+def test_the_headline_predictors_are_public():
+    for name in (
+        "sah_of_lines", "epo_at_ends", "estimate_epo", "finite_ray_cost", "point_costs",
+        "path_length_ratio", "fit_alpha", "estimate_alpha",
+    ):  # fmt: skip
+        assert name in mibvh.__all__
+        assert callable(getattr(mibvh, name))

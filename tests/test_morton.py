@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from mibvh.builders import get
 from mibvh.builders.draft import Draft, References
-from mibvh.builders.morton import _radix_tree, morton_codes
+from mibvh.builders.morton import _radix_tree
 from mibvh.builders.radix import argsort_keys, float_keys, sort_keys
 from mibvh.builders.registry import Context
+from mibvh.morton import morton_codes
 from mibvh.triangles import Triangles
 
 

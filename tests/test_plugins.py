@@ -155,6 +155,89 @@ def test_other_variants(variant):
         mi.set_variant(before)
 
 
+def field(scale, move):
+    """Boxes on a checkered floor under a white sky, scaled and moved with their camera."""
+    at = At().translate([move] * 3).scale(scale)
+    places = enumerate([[-1, 0.5, 0], [0, 0.4, 0.5], [1, 0.6, -0.5]])
+    view = [[x * scale + move for x in p] for p in ([0, 2, 6], [0, 0.5, 0])]
+    return mi.load_dict({
+        "type": "scene", "sky": {"type": "constant"},
+        "sensor": {
+            "type": "perspective", "near_clip": 0.01 * scale, "far_clip": 100 * scale,
+            "film": film(), "to_world": At().look_at(*view, [0, 1, 0]),
+        },
+        "floor": {"type": "rectangle", "to_world": at @ At().rotate([1, 0, 0], -90).scale(4),
+                  "bsdf": {"type": "diffuse", "reflectance": {"type": "checkerboard"}}},
+        **{f"box{i}": {
+            "type": "cube", "bsdf": {"type": "diffuse"},
+            "to_world": at @ At().translate(p).rotate([0, 1, 0], 30 * i).scale(0.4)}
+            for i, p in places},
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize(("scale", "move"), [(1e-6, 0), (1e6, 0), (1, 10000)])
+def test_tiny_and_far_scenes_look_the_same(scale, move):
+    """Mitsuba's own ``path`` moves the origins of its rays by up to 0.04 to 0.08 in this image."""
+    wanted, found = (
+        render(scene, "bvh_path", max_depth=4) for scene in (field(1, 0), field(scale, move))
+    )
+    assert np.sqrt(((wanted - found) ** 2).mean()) < 0.005
+    assert found.mean() == pytest.approx(wanted.mean(), rel=1e-3)
+
+
+GROUPS = """<scene version="3.0.0"><emitter type="constant"/><sensor type="perspective">
+<transform name="to_world"><lookat origin="0,2,14" target="0,0,0" up="0,1,0"/></transform>
+<film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="16"/></film>
+</sensor>
+<shape type="shapegroup" id="two"><shape type="sphere"/><shape type="cube">
+<transform name="to_world"><translate y="2"/></transform></shape></shape>
+<shape type="shapegroup" id="one"><shape type="cube"/></shape>
+<shape type="instance"><ref id="two"/><transform name="to_world"><translate x="3"/></transform>
+</shape>
+<shape type="instance"><ref id="two"/><transform name="to_world"><translate x="-3"/></transform>
+</shape>
+<shape type="instance" id="last"><ref id="one"/></shape>
+<shape type="rectangle"><transform name="to_world"><rotate x="1" angle="-90"/><scale value="5"/>
+<translate y="-1"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0.9,0.1,0.1"/>
+</bsdf></shape></scene>"""
+
+
+def test_instances_are_the_same_triangles_in_files_and_in_memory(tmp_path):
+    """What ``bvh_cost`` and ``bvh_rays`` are handed holds what ``build`` loads."""
+    path = tmp_path / "groups.xml"
+    path.write_text(GROUPS)
+    loaded = mibvh.load(path)
+    scene = mi.load_file(str(path), optimize=False)
+    ids = [shape.id() for shape in scene.shapes()]
+    live = mibvh.load(scene)
+    assert len(loaded.triangles) == 2 * (2208 + 12) + 12 + 2
+    assert live.triangles.digest == loaded.triangles.digest
+    assert [shape.id() for shape in scene.shapes()] == ids
+    integrator = mi.load_dict({"type": "bvh_cost"})
+    with pytest.warns(UserWarning, match="tessellated"):
+        image = mi.render(scene, integrator=integrator, spp=16)
+    hit = mibvh.mitsuba.image_channels(image, integrator)["hit"]
+    depth = mi.load_dict({"type": "aov", "aovs": "d:depth"})
+    seen = np.array(mi.render(scene, integrator=depth, spp=16))[..., -1] > 0
+    assert ((hit > 0) == seen).mean() > 0.97
+
+
+def test_means_say_of_what_they_are():
+    """Overlap is a matter of rays that hit: per hit and per ray are two quantities."""
+    channels = {
+        "a.cost": np.full((2, 2), 3.0, np.float32),
+        "a.overlap": np.array([[8, 0], [0, 0]], np.float32),
+        "hit": np.array([[1, 0], [1, 0]], np.float32),
+    }
+    means = mibvh.mitsuba.channel_means(channels)
+    assert means == {"a.cost": 3, "a.overlap_per_hit": 4, "a.overlap_per_ray": 2, "hit": 0.5}
+    full = {f"a.{name}": channels["a.overlap"] for name in QUANTITIES} | channels
+    figure = mibvh.mitsuba.cost_figure(full, ["cost", "overlap"])
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert titles[0].endswith("mean 3 per ray")
+    assert titles[1].endswith("mean 4 per hit")
+
+
 def test_scalar_variants_and_bad_parameters_get_one_sentence():
     for parameters, said in [
         ({"builder": "oak"}, "there is no builder 'oak'"),
@@ -397,16 +480,14 @@ def test_render_command(tmp_path, capsys, monkeypatch):
     assert "there is no builder 'oak'" in err
     assert "Traceback" not in err
     own.write_text('<scene version="3.0.0"><shape type="cube"/></scene>')
-    code, _, err = run(own, "-o", tmp_path / "none.png")
-    assert code == 2
-    assert "there is no camera in it" in err
-    assert not (tmp_path / "none.png").exists()
+    code, out, _ = run(own, "-o", tmp_path / "own.png", *small, "--json")
+    assert (code, json.loads(out)["width"]) == (0, 12)  # with a camera that is chosen
     for arguments, said in [
         (("-o", tmp_path / "b.jpg"), "an image is an .exr or a .png file"),
         (("-o", tmp_path / "gone" / "b.png"), "there is no folder"),
         (("-o", image, "--quantity", "speed"), "there is no quantity 'speed'"),
         (("-o", image, "--size", "12"), "--size takes WIDTHxHEIGHT"),
-        (("-o", image, "--spp", 0), "spp must be at least 1"),
+        (("-o", image, "--spp", 0), "spp must be a whole number from 1"),
         (("-o", image, "--sensor", 9), "there is no 9"),
         (("-o", image, "-D", "grey"), "-D takes NAME=VALUE"),
         (("-o", image, "--builder", "oak"), "integrator bvh_path: there is no builder 'oak'"),

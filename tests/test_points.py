@@ -5,7 +5,7 @@ from test_metrics import brute_force_fractions, hand_tree, hand_triangles, split
 
 import mibvh
 from mibvh.metrics.epo import overlap
-from mibvh.metrics.points import estimate_epo, point_costs, points_on
+from mibvh.metrics.points import estimate_epo, point_costs, points_on, weight_at
 from mibvh.metrics.sah import node_costs
 
 
@@ -34,7 +34,7 @@ def test_estimate_covers_the_exact_value():
 def test_estimate_is_better_than_its_points_alone():
     triangles = soup(400, 2, size=0.2)
     tree = mibvh.build(triangles, "lbvh")
-    found = mibvh.epo(tree, triangles, samples=4000)
+    found = mibvh.estimate_epo(tree, triangles, 4000)
     rng = np.random.default_rng(0)
     ids = rng.choice(len(triangles), 4000, p=triangles.areas / triangles.areas.sum()).astype(
         np.int32
@@ -42,7 +42,7 @@ def test_estimate_is_better_than_its_points_alone():
     plain = point_costs(tree, triangles, points_on(triangles, ids), ids)[:, 0]
     assert 0 < found.standard_error < plain.std() / np.sqrt(4000)
     with pytest.raises(mibvh.MibvhError, match="at least 4 points"):
-        mibvh.epo(tree, triangles, samples=2)
+        mibvh.estimate_epo(tree, triangles, 2)
 
 
 def test_density_follows_where_rays_end():
@@ -91,7 +91,7 @@ def test_epo_at_ends_agrees_with_the_density(traced):
     tree, triangles, rays, hits = traced
     starts, ends = mibvh.ray_ends(triangles, rays, hits)
     both = starts.joined(ends)
-    at_points = mibvh.epo(tree, triangles, ray_ends=both)
+    at_points = mibvh.epo_at_ends(tree, triangles, both)
     by_density = mibvh.epo(tree, triangles, weights=both.density(triangles))
     evenly = mibvh.epo(tree, triangles)
     assert abs(at_points.value - by_density) < 0.15 * at_points.value
@@ -139,3 +139,45 @@ def test_per_depth_adds_up(traced):
     assert shares.sum() == pytest.approx(mibvh.epo(tree, triangles))
     with pytest.raises(mibvh.MibvhError, match="weights need"):
         mibvh.epo(tree, triangles, weights=[1.0])
+
+
+def chain(depth):
+    """A tree in which each inner node has a leaf and the rest of the tree."""
+    count = depth + 1
+    at = np.arange(count, dtype=np.float32)[:, None, None]
+    corners = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], np.float32) + at * [0, 0, 1]
+    triangles = mibvh.Triangles(corners.astype(np.float32))
+    nodes = 2 * depth + 1
+    left = np.full(nodes, -1, np.int32)
+    first, counts = np.zeros(nodes, np.int32), np.ones(nodes, np.int32)
+    counts[0] = count
+    for level in range(depth):
+        node = 2 * level  # the root, and then each second child
+        left[node] = 2 * level + 1
+        first[left[node]], first[left[node] + 1] = level, level + 1
+        counts[left[node] + 1] = depth - level
+    low, high = triangles.lower, triangles.upper
+    lower = np.array([low[f : f + c].min(0) for f, c in zip(first, counts, strict=True)])
+    upper = np.array([high[f : f + c].max(0) for f, c in zip(first, counts, strict=True)])
+    references = np.arange(count, dtype=np.int32)
+    meta = {"triangles": count, "c_inner": 1.2, "c_tri": 1.0}
+    return mibvh.Tree(lower, upper, left, first, counts, references, meta)
+
+
+def test_point_queries_of_trees_of_any_depth():
+    """In a chain of 600 nodes the leaves of all levels wait while the last is looked at."""
+    tree = chain(600)
+    assert tree.depth == 600
+    at = np.array([[0.25, 0.25, 0.0], [0.25, 0.25, 600.0], [0.25, 0.25, 10.0]])
+    # A point is in its leaf, and in the inner nodes above it: the last two leaves share a level.
+    np.testing.assert_array_equal(weight_at(tree, at, np.ones(len(tree))), [2, 601, 12])
+
+
+def test_point_queries_refuse_what_does_not_fit():
+    triangles, tree = hand_triangles(), hand_tree()
+    points = np.zeros((2, 3))
+    with pytest.raises(mibvh.MibvhError, match=r"not \(2, 3\) and \(1,\)"):
+        mibvh.point_costs(tree, triangles, points, np.zeros(1, np.int32))
+    for wrong in ([0, 4], [-1, 0], [0.0, 1.0]):
+        with pytest.raises(mibvh.MibvhError, match="from 0 to 3"):
+            mibvh.point_costs(tree, triangles, points, np.array(wrong))

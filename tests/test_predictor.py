@@ -1,6 +1,8 @@
+import dataclasses
+
 import numpy as np
 import pytest
-from conftest import closed_box, soup
+from conftest import closed_box, scene_record, soup, tree_row
 
 import mibvh
 from mibvh.metrics.predictor import (
@@ -15,8 +17,10 @@ from mibvh.metrics.predictor import (
     pearson,
     predict,
 )
+from mibvh.metrics.predictors import predictor
 from mibvh.metrics.sah import node_costs
-from mibvh.studies.analyse import calibrate, pool
+from mibvh.studies.analyse.calibration import calibrate
+from mibvh.studies.record.scene import samples
 
 
 def test_fit_alpha_recovers_the_mixture():
@@ -52,10 +56,10 @@ def test_rounding_is_no_variation():
 
 
 def test_step_costs_want_trees():
-    tree = {"inner_per_ray": 3.0, "triangles_per_ray": 2.0, "scalar_ns": 9.0}
-    found = calibrate([{"trees": [tree] * 4}])
-    assert found["trees"] == 4
-    assert np.isnan(found["c_inner"])
+    tree = tree_row(inner_per_ray=3.0, triangles_per_ray=2.0, scalar_ns=9.0)
+    found = calibrate([scene_record([tree] * 4)])
+    assert found.trees == 4
+    assert np.isnan(found.c_inner)
 
 
 def test_agreement_names_the_absurd_tree():
@@ -161,39 +165,42 @@ def lcv_scene(seed, weight):
     sah, epo, lcv = rng.random((3, 9))
     cost = predict(sah, epo, 0.4) + weight * lcv
     names = ("sah", "epo", "lcv", "counted_cost")
-    return {"trees": [dict(zip(names, v, strict=True)) for v in zip(sah, epo, lcv, cost,
-                                                                    strict=True)]}  # fmt: skip
+    rows = zip(sah, epo, lcv, cost, strict=True)
+    return scene_record([tree_row(**dict(zip(names, row, strict=True))) for row in rows])
 
 
 def test_the_fixed_weight_of_lcv_of_a_scene_comes_from_the_others():
     """Scenes with a weight of 2, and one with a weight of 20 that does not fit its own."""
     records = [lcv_scene(seed, 2.0) for seed in range(5)] + [lcv_scene(5, 20.0)]
-    pooled = pool(records, "counted_cost")
-    assert len({p.lcv for p in pooled}) == 1
-    assert pooled[5].lcv_from_others == pytest.approx(2, rel=0.15)  # on the grid of weights
-    assert pooled[0].lcv_from_others > pooled[5].lcv_from_others
-    alone = pool(records[:1], "counted_cost")[0]
-    assert alone.lcv == pytest.approx(2, rel=0.15)
-    assert np.isnan(alone.lcv_from_others)
+    known = samples(records, "counted_cost")
+    shared, others = predictor("LCV fixed"), predictor("LCV from others")
+    assert len({shared.fit(known, i)["beta"] for i in range(6)}) == 1
+    betas = [others.fit(known, i)["beta"] for i in range(6)]
+    assert betas[5] == pytest.approx(2, rel=0.15)  # on the grid of weights
+    assert betas[0] > betas[5]
+    assert shared.fit(known[:1], 0)["beta"] == pytest.approx(2, rel=0.15)
+    assert np.isnan(others.fit(known[:1], 0)["beta"])
 
 
 def test_step_costs_and_how_well_they_are_known():
     rng = np.random.default_rng(3)
-    trees = [
-        {"inner_per_ray": inner, "triangles_per_ray": tests} for inner, tests in rng.random((40, 2))
+    steps = rng.random((40, 2))
+    ns = 6 * steps[:, 0] + 4 * steps[:, 1] + 10
+    trees = timed_trees(steps, ns)
+    exact = calibrate([scene_record(trees[:20]), scene_record(trees[20:])])
+    assert [exact.c_inner, exact.c_inner_low, exact.c_inner_high] == pytest.approx([1.5] * 3)
+    assert exact.mean_error == pytest.approx(0, abs=1e-9)
+    noisy = calibrate([scene_record(timed_trees(steps, ns * rng.uniform(0.9, 1.1, 40)))])
+    assert noisy.c_inner_low < 1.5 < noisy.c_inner_high
+    assert noisy.c_inner_high - noisy.c_inner_low > 0.1
+
+
+def timed_trees(steps, ns):
+    """Trees whose rays take so many inner nodes and triangle tests (a row each), and a time."""
+    return [
+        tree_row(inner_per_ray=inner, triangles_per_ray=tests, scalar_ns=time)
+        for (inner, tests), time in zip(steps, ns, strict=True)
     ]
-    for tree in trees:
-        tree["scalar_ns"] = 6 * tree["inner_per_ray"] + 4 * tree["triangles_per_ray"] + 10
-    exact = calibrate([{"trees": trees[:20]}, {"trees": trees[20:]}])
-    assert [exact[k] for k in ("c_inner", "c_inner_low", "c_inner_high")] == pytest.approx(
-        [1.5] * 3
-    )
-    assert exact["mean_error"] == pytest.approx(0, abs=1e-9)
-    for tree in trees:
-        tree["scalar_ns"] *= rng.uniform(0.9, 1.1)
-    noisy = calibrate([{"trees": trees}])
-    assert noisy["c_inner_low"] < 1.5 < noisy["c_inner_high"]
-    assert noisy["c_inner_high"] - noisy["c_inner_low"] > 0.1
 
 
 def test_trees_of_one_scene_do_not_tell_more_of_step_costs_for_being_many():
@@ -203,11 +210,23 @@ def test_trees_of_one_scene_do_not_tell_more_of_step_costs_for_being_many():
     for trees in (8, 128):
         records = []
         for inner, test in zip(rng.permutation(np.linspace(3, 9, 12)), [4.0] * 12, strict=True):
-            x = rng.random((trees, 2))
-            records.append({"trees": [
-                {"inner_per_ray": i, "triangles_per_ray": t, "scalar_ns": inner * i + test * t}
-                for i, t in x
-            ]})  # fmt: skip
+            steps = rng.random((trees, 2))
+            records.append(scene_record(timed_trees(steps, steps @ [inner, test])))
         found = calibrate(records)
-        widths.append(found["c_inner_high"] - found["c_inner_low"])
+        widths.append(found.c_inner_high - found.c_inner_low)
     assert widths[1] > 0.6 * widths[0]
+
+
+def test_only_what_lies_in_the_box_counts_for_the_path_length():
+    """Rays from outside the unit cube, past it, and with an end of their own; mean chord 2/3."""
+    box = mibvh.Triangles(closed_box())
+    o = np.array([[0.5, 0.5, -3], [0.5, 5, -3], [0.5, 0.5, 0.25]], np.float32)
+    d = np.array([[0, 0, 1], [0, 0, 1], [0, 1, 0]], np.float32)
+    zeros = np.zeros(3, np.int32)
+    tmax = np.array([np.inf, np.inf, 0.125], np.float32)
+    rays = mibvh.RaySet(o, d, tmax, zeros, zeros, zeros)
+    hits = mibvh.trace(mibvh.build(box, "bbvh"), box, rays, repeats=1)
+    # The first ends where it enters, the second misses, the third ends by itself.
+    assert path_length_ratio(box, rays, hits) == pytest.approx(0.125 / 3 / (2 / 3))
+    all_miss = dataclasses.replace(hits, t=np.full(3, np.inf, np.float32))
+    assert path_length_ratio(box, rays, all_miss) == pytest.approx((1 + 0.125) / 3 / (2 / 3))

@@ -95,3 +95,6 @@ def test_impossible_requests(cornell):
         mibvh.diffuse_rays(cornell, viewpoints=99)
     with pytest.raises(mibvh.MibvhError, match="width must be"):
         mibvh.diffuse_rays(cornell, width=0)
+    for views in (-1, 0):
+        with pytest.raises(mibvh.MibvhError, match=f"viewpoints must be a .*, not {views}"):
+            mibvh.diffuse_rays(cornell, viewpoints=views)

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mibvh.studies.figures import panels
-from mibvh.studies.sheet import Sheet
+from mibvh.studies.record.sheet import Column, Sheet
+from mibvh.studies.report.plots import panels
 
 SHEET = Sheet(
     name="costs",
@@ -21,14 +21,17 @@ SHEET = Sheet(
         "builder": ["a_b", "c"], "cost": [2.5, 1.25], "error": [0.011, np.nan],
         "held": [True, False], "none": [np.nan, np.inf],
     }),
-    formats={"cost": ".2f"},
-    errors={"cost": "error"},
-    best=("cost",),
+    columns=[
+        Column("builder"),
+        Column("cost", format=".2f", error="error", smaller_is_better=True),
+        Column("held"),
+        Column("none", "nothing"),
+    ],
 )  # fmt: skip
 
 
 def test_cells():
-    assert SHEET.heads == ["builder", "cost", "held", "none"]
+    assert SHEET.values.columns.tolist() == ["builder", "cost", "held", "nothing", "cost error"]
     assert [[c.text for c in row] for row in SHEET.rows()] == [
         ["a_b", "2.50", "yes", "–"],
         ["c", "1.25", "no", "∞"],
@@ -41,7 +44,7 @@ def test_cells():
 def test_markdown():
     assert SHEET.markdown().splitlines() == [
         "### Costs of 100% & more", "", "With α = 0.5.", "",
-        "| builder | cost | held | none |",
+        "| builder | cost | held | nothing |",
         "| --- | ---: | ---: | ---: |",
         "| a_b | 2.50 | yes | – |",
         "| c | 1.25 | no | ∞ |",
@@ -57,7 +60,7 @@ def test_latex():
         r"\label{tab:costs}",
         r"\begin{tabular}{lrrr}",
         r"\toprule",
-        r"builder & cost & held & none \\",
+        r"builder & cost & held & nothing \\",
         r"\midrule",
         r"a\_b & 2.50 & yes & -- \\",
         r"c & \textbf{1.25} & no & $\infty$ \\",
@@ -81,7 +84,7 @@ def test_table_files(small_study, name):
 
 
 def test_figure_files(small_study):
-    scene = small_study.scenes[0]["scene"]
+    scene = small_study.scenes[0].scene
     for name in ("counted", "scalar", "simd", "depth"):
         assert (small_study.folder / f"figures/{scene}-{name}.png").stat().st_size > 5000
         drawn = (small_study.folder / f"figures/{scene}-{name}.svg").read_text()
@@ -90,7 +93,7 @@ def test_figure_files(small_study):
 
 
 def test_builders_are_named_below_the_curves_of_a_file_and_once_on_the_page(small_study):
-    scene = small_study.scenes[0]["scene"]
+    scene = small_study.scenes[0].scene
     drawn = (small_study.folder / f"figures/{scene}-depth.svg").read_text()
     assert re.findall(r">(\w*bvh)</text>", drawn) == ["bbvh", "lbvh"]
     for panel in panels(drawn):

@@ -37,17 +37,17 @@ def test_while_while_visits_what_the_single_loop_does(scene, builder, options):
 @pytest.mark.parametrize("cull", [False, True])
 @pytest.mark.parametrize("builder", ["bbvh", "lbvh", "sbvh"])
 def test_a_leaf_put_aside_costs_visits_and_changes_no_hit(scene, builder, cull):
-    single, postponed = run_both(scene, builder, "postponed", cull=cull)
-    np.testing.assert_array_equal(single.t, postponed.t)
-    np.testing.assert_array_equal(single.triangle, postponed.triangle)
+    single, speculative = run_both(scene, builder, "speculative", cull=cull)
+    np.testing.assert_array_equal(single.t, speculative.t)
+    np.testing.assert_array_equal(single.triangle, speculative.triangle)
     for name in COUNTERS:
-        fewer, more = (getattr(hits, name).astype(int) for hits in (single, postponed))
+        fewer, more = (getattr(hits, name).astype(int) for hits in (single, speculative))
         assert fewer.sum() < more.sum() < 1.5 * fewer.sum()
         # A part of a split triangle may be hit outside its leaf, which then spares visits.
         assert (fewer <= more).all() or builder == "sbvh"
 
 
-def reference_rounds(tree, triangles, rays, postponed):
+def reference_rounds(tree, triangles, rays, speculative):
     """Per ray a list of (inner nodes, triangles) per round: the same walk in plain Python."""
     distances, done = brute_force(triangles, rays), None
     for i, (o, d) in enumerate(zip(rays.o.astype(float), rays.d.astype(float), strict=True)):
@@ -66,17 +66,17 @@ def reference_rounds(tree, triangles, rays, postponed):
                 found = children_hit(tree, node, o, d, best)
                 stack += [child for _, child in found[1:]]
                 node = found[0][1] if found else pop()
-                if postponed and is_leaf(node) and aside is done:
+                if speculative and is_leaf(node) and aside is done:
                     aside, node = node, pop()
             while aside is not done or is_leaf(node):
                 if aside is not done:
                     leaf, aside = aside, done
                 else:
-                    leaf, node = node, pop() if postponed else node
+                    leaf, node = node, pop() if speculative else node
                 ids = tree.references[tree.first[leaf] :][: tree.count[leaf]]
                 tests += len(ids)
                 best = min(best, distances[i, ids].min())
-                if not postponed:
+                if not speculative:
                     node = pop()
             rounds.append((inner, tests))
         yield rounds
@@ -88,16 +88,16 @@ def measured_rounds(scene, tree, style, lanes):
     tracer = Tracer(rays, float(unit_scale(triangles)), lanes, style=style)
     records = make_records(tree, triangles)
     leaves = tracer.fetch(tracer.run(records, count=True)[0][3])
-    start, steps = tracer.rounds(records, leaves)
+    start, steps = tracer.launch.rounds(records, leaves)
     return np.split(steps, start[1:]), tracer.width
 
 
-@pytest.mark.parametrize("style", ["while-while", "postponed"])
+@pytest.mark.parametrize("style", ["while-while", "speculative"])
 def test_rounds_against_plain_python(style):
     triangles = soup(200, 1, size=0.2)
     rays = random_rays(300)
     tree = mibvh.build(triangles, "bbvh")
-    expected = list(reference_rounds(tree, triangles, rays, style == "postponed"))
+    expected = list(reference_rounds(tree, triangles, rays, style == "speculative"))
     found, _ = measured_rounds((triangles, rays), tree, style, "scalar")
     assert np.mean([len(rounds) for rounds in expected]) > 1.5
     same = [
@@ -108,7 +108,7 @@ def test_rounds_against_plain_python(style):
     assert np.mean(same) > 0.99
 
 
-@pytest.mark.parametrize("style", ["while-while", "postponed"])
+@pytest.mark.parametrize("style", ["while-while", "speculative"])
 def test_packets_take_the_longest_lane_of_every_round(scene, style):
     triangles, rays = scene
     tree = mibvh.build(triangles, "bbvh")
@@ -131,6 +131,6 @@ def test_rays_in_step_with_each_other_keep_all_lanes_busy(scene):
     triangles, rays = scene
     copies = [np.repeat(part[:1], 64, axis=0) for part in (rays.o, rays.d)]
     tree = mibvh.build(triangles, "bbvh")
-    for style in ("while-while", "postponed"):
+    for style in ("while-while", "speculative"):
         hits = mibvh.trace(tree, triangles, ray_set(*copies), style=style, repeats=1)
         assert hits.lane_utilisation == 1

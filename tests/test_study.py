@@ -9,10 +9,10 @@ import pytest
 from conftest import soup
 
 import mibvh
-from mibvh.studies.pieces import RayCounter
+from mibvh.studies.measure.counts import RayCounter
+from mibvh.studies.measure.stopwatch import Timings, measure
+from mibvh.studies.measure.store import Store
 from mibvh.studies.run import read_study, write_outputs
-from mibvh.studies.stopwatch import Timings, measure
-from mibvh.studies.store import Store
 
 CHOICES = {"width": 24, "height": 16, "scalar_rays": 512, "seconds": 0.0}
 
@@ -23,7 +23,7 @@ def finished(tmp_path_factory, cornell):
     stages = []
     return (
         mibvh.study([cornell], folder, builders=("bbvh", "lbvh", "treewise"),
-                    progress=lambda *stage: stages.append(stage), **CHOICES),
+                    progress=stages.append, **CHOICES),
         stages,
     )  # fmt: skip
 
@@ -70,9 +70,9 @@ def test_files(finished):
 
 
 def test_seconds_are_those_of_the_stages(finished):
-    seconds = finished[0].scenes[0]["seconds"]
+    seconds = finished[0].scenes[0].seconds
     assert list(seconds) == [
-        "rays", "trees", "metrics", "counts", "depth", "stopwatch", "picture",
+        "rays", "trees", "metrics", "counts", "stopwatch", "picture", "depth",
     ]  # fmt: skip
     assert all(spent > 0 for spent in seconds.values())
     built = finished[0].table["build_seconds"].sum()
@@ -81,7 +81,7 @@ def test_seconds_are_those_of_the_stages(finished):
 
 
 def test_progress_ends_at_one(finished):
-    done = [share for _, _, share in finished[1]]
+    done = [step.done for step in finished[1]]
     assert done[-1] == 1.0
     assert done == sorted(done)
 
@@ -89,12 +89,13 @@ def test_progress_ends_at_one(finished):
 def test_again_recomputes_nothing_and_report_remakes(finished, cornell, monkeypatch):
     study = finished[0]
     before = {p: p.stat().st_mtime_ns for p in (study.folder / "cache").glob("t*")}
-    for name in ("pieces.build", "pieces.measure", "run.diffuse_rays", "pieces.Tracer",
-                 "pieces.overlap"):  # fmt: skip
-        monkeypatch.setattr(f"mibvh.studies.{name}", lambda *_, name=name, **__: pytest.fail(name))
+    for name in ("studies.measure.trees.build", "studies.measure.times.measure",
+                 "studies.measure.scene.diffuse_rays", "studies.measure.counts.Tracer",
+                 "studies.measure.times.Tracer", "metrics.registry.overlap"):  # fmt: skip
+        monkeypatch.setattr(f"mibvh.{name}", lambda *_, name=name, **__: pytest.fail(name))
     again = mibvh.study([cornell], study.folder, builders=("bbvh", "lbvh", "treewise"), **CHOICES)
     assert again.table.equals(study.table)
-    assert again.scenes[0]["seconds"] == study.scenes[0]["seconds"]
+    assert again.scenes[0].seconds == study.scenes[0].seconds
     assert {p: p.stat().st_mtime_ns for p in (study.folder / "cache").glob("t*")} == before
     study.report.unlink()
     found = read_study(study.folder)
@@ -118,8 +119,8 @@ def test_a_folder_that_held_other_studies(tmp_path, monkeypatch):
     choices = {"builders": ("bbvh", "lbvh"), **CHOICES}
     mibvh.study([soup(40)], tmp_path, **choices)
     mibvh.study([soup(50)], tmp_path, **choices)
-    assert [r["scene"] for r in read_study(tmp_path).scenes] == ["soup50"]
-    monkeypatch.setattr("mibvh.studies.run._FORMAT", 0)
+    assert [r.scene for r in read_study(tmp_path).scenes] == ["soup50"]
+    monkeypatch.setattr("mibvh.studies.run.FORMAT", 0)
     with pytest.raises(mibvh.MibvhError, match="made by another version of mibvh"):
         read_study(tmp_path)
 
@@ -152,7 +153,7 @@ def test_a_flat_scene(tmp_path, cornell):
 
 def test_a_damaged_scene_is_named(tmp_path, finished):
     shutil.copytree(finished[0].folder / "cache", tmp_path / "cache")
-    (tmp_path / "cache" / f"scene-{finished[0].scenes[0]['scene']}.json").write_text("{")
+    (tmp_path / "cache" / f"scene-{finished[0].scenes[0].scene}.json").write_text("{")
     with pytest.raises(mibvh.MibvhError, match="run it again to mend it"):
         read_study(tmp_path)
 

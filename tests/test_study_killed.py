@@ -15,7 +15,7 @@ PROGRAM = """
 import json, sys, mibvh
 scenes, folder, choices = json.loads(sys.argv[1])
 choices["builders"] = tuple(choices["builders"])
-mibvh.study(scenes, folder, progress=lambda *step: print(*step, flush=True), **choices)
+mibvh.study(scenes, folder, progress=lambda step: print(step.scene, step, flush=True), **choices)
 """
 
 

@@ -60,7 +60,7 @@ def _spoil(tree, name, index, value):
     ("name", "index", "value", "said"),
     [
         ("left", 0, 0, "behind it"),
-        ("left", 0, 3, "exactly one"),
+        ("left", 0, 3, "not those of its children"),
         ("lower", 0, np.nan, "inverted or NaN"),
         ("upper", 1, 1e9, "stick out of their parents"),
         ("references", 0, 1, "in no leaf|twice"),
@@ -97,4 +97,6 @@ def test_validate_finds_uncovered_parts_of_a_split_triangle():
     assert whole.splits_triangles
     assert whole.validate(triangles) == []
     gap = _spoil(whole, "upper", 1, [0.5, 2, 1])
-    assert gap.validate(triangles) == ["2 split triangles are not covered by their leaves"]
+    assert gap.validate(triangles) == [
+        "2 split triangles are not covered by their leaves (first: triangle 0)"
+    ]

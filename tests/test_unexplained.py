@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from conftest import scene_record, tree_row
 
 from mibvh.metrics.predictor import pearson
-from mibvh.studies.unexplained import noise_share, reliability, simd_deviation
+from mibvh.studies.analyse.noise import noise_share, reliability, simd_deviation
 
 
 def test_reliability_tells_the_correlation_that_noise_leaves():
@@ -40,15 +41,16 @@ def test_lcv_and_the_deviation_of_simd():
     rng = np.random.default_rng(3)
     lcv = rng.uniform(1, 3, 9)
     scalar = rng.uniform(100, 200, 9)
-    trees = [
-        {"lcv": v, "scalar_ns": s, "simd_ns": 0.2 * s * np.exp(0.1 * v), "scalar_error": 0.001,
-         "simd_error": 0.001}
-        for v, s in zip(lcv, scalar, strict=True)
-    ]  # fmt: skip
-    (row,) = simd_deviation([{"scene": "one", "trees": trees}]).to_dict("records")
+    simd = 0.2 * scalar * np.exp(0.1 * lcv)
+
+    def record(simd_error):
+        return scene_record([
+            tree_row(lcv=v, scalar_ns=s, simd_ns=m, scalar_error=0.001, simd_error=simd_error)
+            for v, s, m in zip(lcv, scalar, simd, strict=True)
+        ])  # fmt: skip
+
+    (row,) = simd_deviation([record(0.001)]).to_dict("records")
     assert row["explained"] == pytest.approx(1)
     assert row["deviation"] == pytest.approx(0.1 * np.abs(lcv - lcv.mean()).mean())
     assert 0 < row["noise"] < 0.01
-    for tree in trees:
-        tree["simd_error"] = 1.0
-    assert simd_deviation([{"scene": "one", "trees": trees}])["noise"].item() == 1
+    assert simd_deviation([record(1.0)])["noise"].item() == 1

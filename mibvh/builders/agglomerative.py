@@ -30,9 +30,9 @@ import numpy.typing as npt
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
-from mibvh.builders.morton import morton_codes
 from mibvh.builders.radix import argsort_keys
 from mibvh.builders.registry import Context, Options, builder
+from mibvh.morton import morton_codes
 from mibvh.triangles import Triangles
 
 #: Entries of a block (a power of two) and its logarithm.

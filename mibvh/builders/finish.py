@@ -321,6 +321,8 @@ def finish(
         draft = Draft(draft.references, *links, draft.report)
         nodes, written, _, _, _ = _run(draft, out, split, (c_inner, c_tri), max_leaf, measure)
         meta = {**meta, "depth_repaired": True}
+    for array in out:
+        array.flags.writeable = False  # a tree copies what can be written to
     lower, upper, left, first, count = (array[len(array) - nodes :] for array in out[:5])
     return Tree(lower, upper, left, first, count, out[5][len(out[5]) - written :], meta)
 

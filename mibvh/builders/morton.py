@@ -14,43 +14,8 @@ from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.radix import sort_keys
 from mibvh.builders.registry import Context, Options, builder
+from mibvh.morton import morton_codes
 from mibvh.triangles import Triangles
-
-
-@njit
-def morton_codes(lower, upper):
-    """(R,) uint64: 63-bit Morton codes of the box centres within the box of all centres."""
-    n = np.uint64(len(lower))
-    low = np.empty(3, np.float32)
-    scale = np.zeros(3, np.float64)
-    for k in range(np.uint64(3)):
-        least, most = np.float32(np.inf), np.float32(-np.inf)
-        for i in range(n):
-            c = lower[i, k] + upper[i, k]
-            least = c if c < least else least
-            most = c if c > most else most
-        low[k] = least
-        if most > least:
-            scale[k] = 2097151.999 / (np.float64(most) - np.float64(least))
-    x0, y0, z0 = np.float64(low[0]), np.float64(low[1]), np.float64(low[2])
-    sx, sy, sz = scale[0], scale[1], scale[2]
-    codes = np.empty(n, np.uint64)
-    for i in range(n):
-        x = np.uint64(np.int64((np.float64(lower[i, 0] + upper[i, 0]) - x0) * sx))
-        y = np.uint64(np.int64((np.float64(lower[i, 1] + upper[i, 1]) - y0) * sy))
-        z = np.uint64(np.int64((np.float64(lower[i, 2] + upper[i, 2]) - z0) * sz))
-        codes[i] = _spread(x) << np.uint64(2) | _spread(y) << np.uint64(1) | _spread(z)
-    return codes
-
-
-@njit
-def _spread(x):
-    """Move the 21 bits of x to every third bit."""
-    x = (x | (x << np.uint64(32))) & np.uint64(0x1F00000000FFFF)
-    x = (x | (x << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)
-    x = (x | (x << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
-    x = (x | (x << np.uint64(4))) & np.uint64(0x10C30C30C30C30C3)
-    return (x | (x << np.uint64(2))) & np.uint64(0x1249249249249249)
 
 
 @njit

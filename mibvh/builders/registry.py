@@ -16,7 +16,7 @@ import numpy as np
 
 from mibvh.builders.draft import Draft
 from mibvh.builders.finish import finish
-from mibvh.errors import MibvhError
+from mibvh.errors import MibvhError, did_you_mean
 from mibvh.measures import Area, Measure
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles, as_triangles
@@ -196,6 +196,7 @@ _LATER: dict[str, str] = {
     "bittner_streelet": "mibvh.builders.combined",
     "treelet_sbvh": "mibvh.builders.combined",
     "finite": "mibvh.builders.finite",
+    "embree": "mibvh.builders.embree",
 }
 _registered: dict[str, Builder] = {}
 
@@ -270,7 +271,10 @@ def get(name: str) -> Builder:
     if name not in _registered and name in bundled:
         importlib.import_module(bundled[name])
     if name not in _registered:
-        raise MibvhError(f"there is no builder {name!r}; there are: {', '.join(all_names())}")
+        raise MibvhError(
+            f"there is no builder {name!r}{did_you_mean(name, all_names())}; there are: "
+            f"{', '.join(all_names())}"
+        )
     return _registered[name]
 
 
@@ -310,7 +314,7 @@ def build(
 
     Parameters
     ----------
-    triangles : Triangles, Scene or (N, 3, 3) array
+    triangles : Triangles, Scene, (N, 3, 3) array, or a name or file that `load` takes
         The geometry.
     builder : str
         A name from :func:`names`.

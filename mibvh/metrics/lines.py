@@ -76,14 +76,14 @@ def ray_lines(triangles: Any, rays: Any, hits: Any, count: int | None = None) ->
     step = 1 if count is None else max(1, -(-len(rays) // count))
     o, d = rays.o[::step].astype(np.float64), rays.d[::step].astype(np.float64)
     length = np.minimum(hits.t[::step], rays.tmax[::step]).astype(np.float64)
-    near, far = _inside(as_triangles(triangles).bounds.astype(np.float64), o, d)
+    near, far = inside_box(as_triangles(triangles).bounds.astype(np.float64), o, d)
     inside = np.minimum(far, length) - np.maximum(near, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where((far > near) & (inside > 0), inside / (far - near), 0.0)
     return RayLines(o, d, length, share)
 
 
-def _inside(bounds: F64, o: F64, d: F64) -> tuple[F64, F64]:
+def inside_box(bounds: F64, o: F64, d: F64) -> tuple[F64, F64]:
     """Where lines enter and leave a box; the second is less than the first for those that miss."""
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (bounds[0] - o) / d, (bounds[1] - o) / d

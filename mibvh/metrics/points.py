@@ -45,9 +45,11 @@ class Estimate:
 
 
 @njit
-def _query(begin, end, points, ids, starts, positions, lower, upper, left, first, count, cost, out):
+def _query(
+    begin, end, points, ids, starts, positions, lower, upper, left, first, count, depth, cost, out
+):
     """Cost of the nodes that hold each point: out[:, 0] foreign ones, out[:, 1] the point's own."""
-    stack = np.empty(256, np.int32)
+    stack = np.empty(depth + 2, np.int32)
     for i in range(begin, end):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         t = ids[i]
@@ -113,16 +115,32 @@ def point_costs(tree: Tree, triangles: Any, points: F64, ids: I32) -> F64:
     (P, 2) float64
         Cost of the foreign nodes that hold the point, which is overlap, and of the nodes that
         its own triangle is referenced below, in units of the cost constants.
+
+    Raises
+    ------
+    MibvhError
+        If the tree was built for another geometry, or points and ids do not fit each other or
+        the triangles.
     """
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
+    points, ids = np.asarray(points, np.float64), np.asarray(ids)
+    if points.ndim != 2 or points.shape[1] != 3 or ids.shape != points.shape[:1]:
+        raise MibvhError(
+            f"point costs take (P, 3) points and (P,) ids, not {points.shape} and {ids.shape}"
+        )
+    if ids.dtype.kind not in "iu" or (
+        len(ids) and not 0 <= ids.min() <= ids.max() < len(triangles)
+    ):
+        raise MibvhError(f"ids of points are whole numbers from 0 to {len(triangles) - 1}")
+    ids = ids.astype(np.int32)
     starts, positions = triangle_positions(tree, len(triangles))
     costs = node_costs(tree)
     out = np.zeros((len(points), 2))
 
     def work(_worker: int, begin: int, end: int) -> None:
         _query(begin, end, points, ids, starts, positions, tree.lower, tree.upper, tree.left,
-               tree.first, tree.count, costs, out)  # fmt: skip
+               tree.first, tree.count, tree.depth, costs, out)  # fmt: skip
 
     run_blocks(work, len(points), _BLOCK)
     return out
@@ -143,13 +161,14 @@ def weight_at(tree: Tree, points: F64, weights: F64) -> F64:
     -------
     (P,) float64
     """
+    tree.check()
     # A point that belongs to a triangle without references has foreign nodes only.
     nobody, starts = np.zeros(len(points), np.int32), np.zeros(2, np.int64)
     positions, out = np.zeros(0, np.int32), np.zeros((len(points), 2))
 
     def work(_worker: int, begin: int, end: int) -> None:
         _query(begin, end, points, nobody, starts, positions, tree.lower, tree.upper, tree.left,
-               tree.first, tree.count, weights, out)  # fmt: skip
+               tree.first, tree.count, tree.depth, weights, out)  # fmt: skip
 
     run_blocks(work, len(points), _BLOCK)
     return out[:, 0]
@@ -190,11 +209,12 @@ def estimate_epo(tree: Tree, triangles: Any, samples: int, seed: int = 0) -> Est
     Raises
     ------
     MibvhError
-        For fewer than four points.
+        For fewer than four points, or if the tree was built for another geometry.
     """
     if samples < 4:
         raise MibvhError(f"an estimate of EPO takes at least 4 points, not {samples}")
     triangles = as_triangles(triangles)
+    tree.check_matches(triangles)
     rng = np.random.default_rng(seed)
     _, first = np.unique(tree.references, return_index=True)
     order = tree.references[np.sort(first)]
@@ -265,7 +285,7 @@ class RayEnds:
         (N,) float64
             Ends per unit of area; 0 for triangles without area.
         """
-        from mibvh.builders.morton import morton_codes
+        from mibvh.morton import morton_codes
 
         hits = np.bincount(self.triangle, minlength=len(triangles)).astype(np.float64)
         order = np.argsort(morton_codes(triangles.lower, triangles.upper), kind="stable")
@@ -309,13 +329,21 @@ def ray_starts(triangles: Any, rays: Any) -> RayEnds:
 
 def ray_hits(triangles: Any, rays: Any, hits: Any) -> RayEnds:
     """Where those rays of a set end that hit something; see :func:`ray_ends`."""
+    if len(hits.t) != len(rays):
+        raise MibvhError(f"there are {len(rays)} rays, and hits of {len(hits.t)}")
     hit = np.flatnonzero(hits.triangle >= 0)
     at = rays.o[hit].astype(np.float64) + rays.d[hit].astype(np.float64) * hits.t[hit, None]
     return _ray_ends(triangles, at, hits.triangle[hit], len(rays))
 
 
 def _ray_ends(triangles: Any, near: Any, ids: I32, rays: int) -> RayEnds:
-    points = on_surface(as_triangles(triangles), near, ids)
+    triangles = as_triangles(triangles)
+    if len(ids) and int(ids.max()) >= len(triangles):
+        raise MibvhError(
+            f"a ray begins or ends on triangle {int(ids.max())}, and {triangles.name} has "
+            f"{len(triangles)}: the rays or hits are of another geometry"
+        )
+    points = on_surface(triangles, near, ids)
     return RayEnds(points, np.ascontiguousarray(ids, np.int32), rays)
 
 

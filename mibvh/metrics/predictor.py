@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from mibvh.metrics.lines import inside_box
+from mibvh.triangles import as_triangles
+
 #: Fewest trees that alpha is fitted to: with the line it makes three free parameters, and r
 #: over three trees is 1, or nearly so, whatever the metrics are worth.
 FEWEST_TREES = 5
@@ -87,24 +90,31 @@ def path_length_ratio(triangles: Any, rays: Any, hits: Any) -> float:
     """Mean length of the rays inside the scene's box over the mean chord of that box.
 
     The mean chord of a convex body of volume V and surface A is 4 V / A: what a long random ray
-    spends in it. Rays that miss count up to where they leave the box.
+    spends in it. Rays that miss count up to where they leave the box, or to
+    their own end.
 
     Parameters
     ----------
-    triangles : Triangles
+    triangles : Triangles or (N, 3, 3) array
     rays : RaySet
     hits : Hits
         Of these rays, from any tree.
+
+    Returns
+    -------
+    float
+        NaN for a box without volume.
     """
+    triangles = as_triangles(triangles)
     lower, upper = triangles.bounds.astype(np.float64)
     x, y, z = upper - lower
     surface = 2 * (x * y + y * z + z * x)
     if not x * y * z > 0:
         return float("nan")
     o, d = rays.o.astype(np.float64), rays.d.astype(np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        leaves = np.where(d > 0, (upper - o) / d, np.where(d < 0, (lower - o) / d, np.inf))
-    length = np.minimum(hits.t, np.maximum(leaves.min(axis=1), 0))
+    enters, leaves = inside_box(triangles.bounds.astype(np.float64), o, d)
+    ends = np.minimum(np.minimum(hits.t, rays.tmax), leaves)
+    length = np.maximum(ends - np.maximum(enters, 0), 0)
     return float(length.mean() / (4 * x * y * z / surface))
 
 
@@ -180,12 +190,29 @@ def fitted_combination(
     (K,) float64
         The combination's values, on the measurement's scale.
     """
-    from scipy import optimize  # a second to import
-
     y = np.asarray(measured, np.float64)
     x = np.stack([np.asarray(c, np.float64) for c in columns], axis=1)
-    weights, _ = optimize.nnls(x - x.mean(axis=0), y - y.mean())
-    return (x - x.mean(axis=0)) @ weights + y.mean()
+    return (x - x.mean(axis=0)) @ combination_weights(x, y) + y.mean()
+
+
+def combination_weights(
+    columns: npt.NDArray[np.float64], measured: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Weights of that combination: least squares beside a constant, no weight negative.
+
+    Parameters
+    ----------
+    columns : (K, C) array
+    measured : (K,) array
+
+    Returns
+    -------
+    (C,) float64
+    """
+    from scipy import optimize  # a second to import
+
+    weights, _ = optimize.nnls(columns - columns.mean(axis=0), measured - measured.mean())
+    return np.asarray(weights)
 
 
 def bootstrap_interval(

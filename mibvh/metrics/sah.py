@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import typing
+import warnings
+from typing import Any
 
 import numpy as np
 
 from mibvh.errors import MibvhError
 from mibvh.tree import Tree
 from mibvh.triangles import F64
-
-if typing.TYPE_CHECKING:
-    from mibvh.metrics.lines import RayLines
-    from mibvh.metrics.points import Estimate
 
 
 def node_costs(tree: Tree, c_inner: float | None = None, c_tri: float | None = None) -> F64:
@@ -28,6 +25,7 @@ def node_costs(tree: Tree, c_inner: float | None = None, c_tri: float | None = N
     -------
     (M,) float64
     """
+    tree.check()
     inner = tree.meta.get("c_inner", 1.2) if c_inner is None else c_inner
     tri = tree.meta.get("c_tri", 1.0) if c_tri is None else c_tri
     return np.where(tree.is_leaf, tri * tree.count, inner).astype(np.float64)
@@ -52,43 +50,40 @@ def sah_per_node(tree: Tree, c_inner: float | None = None, c_tri: float | None =
     return node_costs(tree, c_inner, c_tri) * ratio
 
 
-@typing.overload
-def sah(tree: Tree, c_inner: float | None = None, c_tri: float | None = None) -> float: ...
-@typing.overload
-def sah(tree: Tree, *, ray_lines: RayLines) -> Estimate: ...
 def sah(
-    tree: Tree,
-    c_inner: float | None = None,
-    c_tri: float | None = None,
-    *,
-    ray_lines: RayLines | None = None,
-) -> float | Estimate:
+    tree: Tree, c_inner: float | None = None, c_tri: float | None = None, **deprecated: Any
+) -> float:
     """Expected cost of a long random ray, by the surface area heuristic.
+
+    :func:`mibvh.sah_of_lines` takes the lines that rays lie on, instead of lines of even place
+    and direction.
 
     Parameters
     ----------
     tree : Tree
     c_inner, c_tri : float, optional
         By default what the tree was built with, or the paper's 1.2 and 1.0.
-    ray_lines : RayLines, optional
-        The lines that rays lie on (:func:`mibvh.ray_lines`): average over these instead of
-        lines of even place and direction.
+    **deprecated
+        ``ray_lines``: what the function named above takes.
 
     Returns
     -------
-    float or Estimate
-        In units of the cost constants; with ``ray_lines`` (and the tree's own constants), an
-        estimate with its standard error.
-
-    Raises
-    ------
-    MibvhError
-        If cost constants are given together with ``ray_lines``.
+    float
+        In units of the cost constants.
     """
-    if ray_lines is not None:
-        if c_inner is not None or c_tri is not None:
-            raise MibvhError("with ray_lines, the cost constants are those the tree was built with")
-        from mibvh.metrics.lines import sah_of_lines  # needs the node costs of this file
-
-        return sah_of_lines(tree, ray_lines)
+    if deprecated:
+        return _of_lines(tree, c_inner, c_tri, deprecated)
     return float(sah_per_node(tree, c_inner, c_tri).sum())
+
+
+def _of_lines(tree: Tree, c_inner: float | None, c_tri: float | None, asked: dict[str, Any]) -> Any:
+    """Return what ``sah(ray_lines=...)`` was before 0.2, an Estimate."""
+    for name in asked:
+        if name != "ray_lines":
+            raise TypeError(f"sah() got an unexpected keyword argument {name!r}")
+    if c_inner is not None or c_tri is not None:
+        raise MibvhError("with ray_lines, the cost constants are those the tree was built with")
+    from mibvh.metrics.lines import sah_of_lines  # needs the node costs of this file
+
+    warnings.warn("sah(ray_lines=) is now sah_of_lines()", DeprecationWarning, stacklevel=3)
+    return sah_of_lines(tree, asked["ray_lines"])

@@ -23,9 +23,17 @@ from __future__ import annotations
 
 from mibvh.mitsuba.accelerator import Accelerator
 from mibvh.mitsuba.coverage import coverage_figure
-from mibvh.mitsuba.heatmap import cost_figure, image_channels
-from mibvh.mitsuba.register import PLUGINS, register
+from mibvh.mitsuba.heatmap import channel_means, cost_figure, image_channels
+from mibvh.registration import PLUGINS, register
 
-__all__ = ["PLUGINS", "Accelerator", "cost_figure", "coverage_figure", "image_channels", "register"]
+__all__ = [
+    "PLUGINS",
+    "Accelerator",
+    "channel_means",
+    "cost_figure",
+    "coverage_figure",
+    "image_channels",
+    "register",
+]
 
 register()

@@ -9,6 +9,7 @@ import numpy as np
 
 from mibvh.errors import MibvhError
 from mibvh.mitsuba.parameters import Builder
+from mibvh.rays.origins import clear_origin, corners_of, onto_plane
 from mibvh.scene import mesh_corners, shape_key, shape_kind
 from mibvh.traversal.kernel import walk
 from mibvh.traversal.records import own_memory
@@ -72,7 +73,11 @@ class Accelerator:
         pointers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]) for s in meshes]
         self._shape = mi.UInt32(np.repeat(pointers, counts).astype(np.uint32))
         self._first = mi.UInt32(np.repeat(first, counts).astype(np.uint32))
-        dr.eval(self._shape, self._first)
+        # and back: the first triangle of the shape with each pointer, -1 for those beside the tree
+        first_of = np.full(max(pointers) + 1, -1, np.int32)
+        first_of[pointers] = first
+        self._first_of = mi.Int32(first_of)
+        dr.eval(self._shape, self._first, self._first_of)
         # Instances cannot be taken out of their scene. All of it is traced then, and what Mitsuba
         # hits in the tree's meshes is left to the tree.
         self._all_traced = any(shape_kind(shape) == "Instance" for shape in others)
@@ -138,6 +143,48 @@ class Accelerator:
         if self._others is not None:
             hit |= self._others.ray_test(ray, active & ~hit)
         return hit
+
+    def spawn_ray(self, si: Any, d: Any) -> Any:
+        """Ray that leaves a surface, clear of it and no farther than it must be.
+
+        Mitsuba's own moves by 1e-4 and 1e-4 of the coordinates: through a scene that is small, or
+        far from the origin. That still serves for shapes beside the tree.
+
+        Parameters
+        ----------
+        si : mitsuba.SurfaceInteraction3f
+        d : mitsuba.Vector3f
+
+        Returns
+        -------
+        mitsuba.Ray3f
+            See :func:`mibvh.rays.origins.clear_origin`.
+        """
+        import drjit as dr
+
+        mi = mitsuba()
+        ray = si.spawn_ray(d)
+        pointer = dr.reinterpret_array(mi.UInt32, si.shape)
+        known = si.is_valid() & (pointer < dr.width(self._first_of))
+        first = dr.gather(mi.Int32, self._first_of, pointer, known)
+        known &= first >= 0
+        abc = corners_of(self._corners, mi.UInt32(first) + si.prim_index, known)
+        at = onto_plane(*abc, mi.Point3d(si.p))
+        origin, normal = clear_origin(*abc, at, mi.Vector3d(d))
+        ray.o = dr.select(known & (dr.squared_norm(normal) > 0), origin, ray.o)
+        return ray
+
+    def spawn_ray_to(self, si: Any, target: Any) -> Any:
+        """Ray that leaves a surface for a point, and ends short of it; see :meth:`spawn_ray`."""
+        import drjit as dr
+
+        mi = mitsuba()
+        ray = self.spawn_ray(si, target - si.p)
+        way = target - ray.o
+        distance = dr.norm(way)
+        ray.d = way / distance
+        ray.maxt = distance * (1 - mi.math.ShadowEpsilon)
+        return ray
 
     def _walk(self, o: Any, d: Any, tmax: Any, active: Any, any_hit: bool) -> tuple[Any, Any]:
         scale = self._records.scale

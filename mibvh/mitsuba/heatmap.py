@@ -46,6 +46,33 @@ def image_channels(image: Any, integrator: Any) -> dict[str, npt.NDArray[np.floa
     return {name: pixels[:, :, first + i] for i, name in enumerate(names)}
 
 
+def channel_means(channels: dict[str, npt.NDArray[np.float32]]) -> dict[str, float]:
+    """Mean of each channel, under a name that says of what.
+
+    Parameters
+    ----------
+    channels : dict
+        From :func:`image_channels`.
+
+    Returns
+    -------
+    dict of str to float
+        Over all rays under the channel's own name; of ``leaf_depth`` and ``overlap``, which only
+        rays that hit something have, over these, as ``NAME.overlap_per_hit``, and over all rays,
+        of which the others count 0, as ``NAME.overlap_per_ray``.
+    """
+    means: dict[str, float] = {}
+    for name, values in channels.items():
+        mean = float(values.mean(dtype=np.float64))
+        if name.rpartition(".")[2] not in _OF_HITS:
+            means[name] = mean
+            continue
+        hits = float(channels["hit"].mean(dtype=np.float64))
+        means[f"{name}_per_hit"] = mean / hits if hits else 0.0
+        means[f"{name}_per_ray"] = mean
+    return means
+
+
 def cost_figure(
     channels: dict[str, npt.NDArray[np.float32]], quantities: Sequence[str] | None = None
 ) -> Figure:
@@ -85,6 +112,7 @@ def cost_figure(
     axes = figure.subplots(rows, columns, squeeze=False)
     for panel in axes.flat:
         panel.axis("off")
+    means = channel_means(channels)
     for i, quantity in enumerate(chosen):
         maps = {layer: _map(channels, layer, quantity) for layer in layers}
         trees = [values for layer, values in maps.items() if layer != "difference"]
@@ -94,6 +122,10 @@ def cost_figure(
             title = f"{layer}: {QUANTITIES[quantity]}"
             if layer == "difference":
                 title = f"{layers[1]} less {layers[0]}"
+            per = "_per_hit" if quantity in _OF_HITS else ""
+            mean = means[f"{layer}.{quantity}{per}"]
+            title += f"\nmean {mean:{'+' if layer == 'difference' else ''}.3g}"
+            title += " per hit" if per else " per ray"
             _draw(figure, panel, title, values, None if layer == "difference" else top)
             figure.axes[-1].set_xlabel(_UNITS[quantity], fontsize=8)
     if any(quantity in _OF_HITS for quantity in chosen) and (channels["hit"] == 0).any():
@@ -138,8 +170,6 @@ def _draw(
     low, high = (-reach, reach) if top is None else (0.0, max(top, 1e-6))
     colours = mpl.colormaps["RdBu_r" if top is None else SEQUENTIAL].with_extremes(bad=_NOTHING)
     image = panel.imshow(values, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
-    mean = float(np.nanmean(values)) if len(known) else 0.0
-    sign = "+" if top is None else ""
-    panel.set_title(f"{title}\nmean {mean:{sign}.3g}", fontsize=9)
+    panel.set_title(title, fontsize=9)
     bar = figure.colorbar(image, ax=panel, location="bottom", shrink=0.9, aspect=30, pad=0.02)
     bar.ax.tick_params(labelsize=7)

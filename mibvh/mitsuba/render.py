@@ -13,10 +13,17 @@ import numpy.typing as npt
 
 from mibvh.errors import MibvhError
 from mibvh.files import atomic_path
+from mibvh.loading.parser import parse_file
 from mibvh.mitsuba.coverage import coverage_figure
-from mibvh.mitsuba.heatmap import check_quantities, cost_figure, image_channels
-from mibvh.mitsuba.register import PLUGINS
-from mibvh.scene import load, mitsuba_mesh, mitsuba_reason
+from mibvh.mitsuba.heatmap import (
+    channel_means,
+    check_quantities,
+    cost_figure,
+    image_channels,
+)
+from mibvh.ranges import check
+from mibvh.registration import PLUGINS
+from mibvh.scene import find_scene_file, load, makes_rays, mitsuba_mesh, mitsuba_reason
 from mibvh.variant import mitsuba
 
 #: Samples that one pass takes at most: what keeps memory small and the progress bar moving.
@@ -87,14 +94,15 @@ def render(
     # Before the work, rather than after it.
     if not Path(output).parent.is_dir():
         raise MibvhError(f"{output}: there is no folder {str(Path(output).parent)!r}")
-    if spp < 1:
-        raise MibvhError(f"spp must be at least 1, not {spp}")
+    check(spp=spp, sensor=sensor, seed=seed)
+    if size:
+        check(width=size[0], height=size[1])
     check_quantities(quantities)
     given = _instantiate(integrator or "bvh_path", parameters or {})
     scene = _mitsuba_scene(source, defines or {})
     plugin = given if integrator or parameters else _own_integrator(scene) or given
     integrator = integrator or _plugin_name(plugin) or "bvh_path"
-    camera = _camera(source, scene, sensor)
+    camera = _camera(source, scene, sensor, defines or {})
     if size:
         params = mi.traverse(camera)
         params["film.size"] = list(size)
@@ -111,7 +119,7 @@ def render(
         else:
             _write_png(mi, image, plugin, integrator, quantities, path)
     height, width = image.shape[:2]
-    means = {name: float(values.mean()) for name, values in image_channels(image, plugin).items()}
+    means = channel_means(image_channels(image, plugin))
     facts = {
         "image": str(output), "integrator": integrator, "width": width, "height": height,
         "spp": spp, "seed": seed, "variant": mi.variant(), "means": means,
@@ -138,10 +146,11 @@ def _own_integrator(scene: Any) -> Any:
     return own if own is not None and _plugin_name(own) else None
 
 
-def _camera(source: str, scene: Any, sensor: int) -> Any:
+def _camera(source: str, scene: Any, sensor: int, defines: dict[str, str]) -> Any:
+    """One of the scene's cameras, or of those that are chosen where it has none."""
     sensors = scene.sensors()
-    if not sensors:
-        raise MibvhError(f"{source}: there is no camera in it")
+    if not any(makes_rays(found) for found in sensors):
+        sensors = load(source, defines).sensors
     if not 0 <= sensor < len(sensors):
         raise MibvhError(
             f"{source} has {len(sensors)} cameras, numbered from 0; there is no {sensor}"
@@ -152,24 +161,10 @@ def _camera(source: str, scene: Any, sensor: int) -> Any:
 def _mitsuba_scene(source: str, defines: dict[str, str]) -> Any:
     """Load a scene as Mitsuba renders it: not flattened, with its own lights."""
     mi = mitsuba()
-    path = Path(source)
-    if not path.exists():
-        from mibvh.bundled import bundled_scene
-
-        path = bundled_scene(source)
+    path, named = find_scene_file(source)
     if path.suffix.lower() == ".xml":
-        try:
-            # Meshes that are merged would give the triangles other numbers than load() does.
-            scene = mi.load_file(str(path), optimize=False, **defines)
-        except RuntimeError as error:
-            reason = mitsuba_reason(error)
-            raise MibvhError(f"{source}: Mitsuba cannot load it ({reason})") from None
-        if not isinstance(scene, mi.Scene):
-            raise MibvhError(f"{source}: describes no scene")
-        return scene
-    if defines:
-        raise MibvhError(f"{source}: -D sets parameters of Mitsuba XML, which this file is not")
-    loaded = load(source)
+        return parse_file(path, {**named, **defines}, flatten=False).scene
+    loaded = load(source, defines)
     matrix = np.array(loaded.sensors[0].world_transform().matrix, dtype=float).reshape(4, 4)
     # The sky does not shine into a closed room, a lamp at the first camera does.
     lamp = {
@@ -202,11 +197,18 @@ def _in_passes(
 
 
 def _write_exr(mi: Any, image: npt.NDArray[np.float32], plugin: Any, path: Path) -> None:
+    import drjit as dr
+
     names = plugin.aov_names()
     colours = image.shape[2] - len(names)
     channels = [*(["Y"] if colours == 1 else "RGBA"[:colours]), *names]
     bitmap = mi.Bitmap(image, mi.Bitmap.PixelFormat.MultiChannel, channels)
-    bitmap.write(str(path), mi.Bitmap.FileFormat.OpenEXR)
+    threads = dr.thread_count()
+    dr.set_thread_count(max(threads, 2))  # on one thread, Mitsuba waits for itself for ever
+    try:
+        bitmap.write(str(path), mi.Bitmap.FileFormat.OpenEXR)
+    finally:
+        dr.set_thread_count(threads)
 
 
 def _write_png(

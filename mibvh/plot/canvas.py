@@ -29,7 +29,8 @@ def named(trees: Any) -> dict[str, Tree]:
     Raises
     ------
     MibvhError
-        If there is no tree, or something else, or two trees have the same name.
+        If there is no tree, or something else, or one that is not sound, or two trees have the
+        same name.
     """
     if isinstance(trees, Mapping):
         found = dict(trees)
@@ -48,4 +49,5 @@ def named(trees: Any) -> dict[str, Tree]:
     for name, tree in found.items():
         if not isinstance(tree, Tree):
             raise MibvhError(f"{name}: is no tree but a {type(tree).__name__}")
+        tree.check()
     return found

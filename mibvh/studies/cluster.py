@@ -7,6 +7,7 @@ scheduler gives it to another, which goes on from what is kept on its own machin
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import os
 import tempfile
@@ -19,8 +20,11 @@ from typing import Any
 from mibvh.bundled import cache_folder
 from mibvh.errors import MibvhError
 from mibvh.scene import load
-from mibvh.studies.options import StudyOptions
-from mibvh.studies.store import Store
+from mibvh.studies.measure.scene import study_scene
+from mibvh.studies.measure.store import Store
+from mibvh.studies.record.options import StudyOptions
+from mibvh.studies.record.progress import Listener, Progress
+from mibvh.studies.record.scene import SceneRecord
 
 #: What a worker offers to be given scenes, and how one is started.
 RESOURCE = "mibvh"
@@ -29,8 +33,8 @@ _SECONDS_TO_CONNECT = 10
 
 
 def study_on_cluster(
-    sources: Sequence[Any], options: StudyOptions, address: str, progress: Any
-) -> Iterator[dict[str, Any]]:
+    sources: Sequence[Any], options: StudyOptions, address: str, listener: Listener
+) -> Iterator[SceneRecord]:
     """Study scenes on the workers of a Dask scheduler.
 
     Parameters
@@ -40,13 +44,13 @@ def study_on_cluster(
     options : StudyOptions
     address : str
         Of the scheduler, such as ``tcp://10.0.0.1:8786``.
-    progress : callable
-        As for :func:`mibvh.study`; called from another thread.
+    listener : callable
+        Told of the progress, from another thread.
 
     Yields
     ------
-    dict
-        A record of each scene, in the order of ``sources``.
+    SceneRecord
+        One of each scene, in the order of ``sources``.
 
     Raises
     ------
@@ -63,7 +67,7 @@ def study_on_cluster(
     with client:
         _check_workers(client, address)
         topic = f"mibvh-{uuid.uuid4().hex}"
-        client.subscribe_topic(topic, lambda event: progress(*event[1]))
+        client.subscribe_topic(topic, lambda event: listener(Progress(*event[1])))
         # A key of its own each time: asking again must not bring back an old failure.
         futures = [
             client.submit(_study_one, name, options, topic, key=f"{name}-{topic}",
@@ -72,7 +76,7 @@ def study_on_cluster(
         ]  # fmt: skip
         for name, future in zip(named, futures, strict=True):
             try:
-                yield future.result()
+                yield SceneRecord.from_json(future.result())
             except distributed.KilledWorker:
                 raise MibvhError(f"{name}: every worker that tried this scene died") from None
 
@@ -112,18 +116,16 @@ def _check_workers(client: Any, address: str) -> None:
 
 
 def _study_one(source: str, options: StudyOptions, topic: str) -> dict[str, Any]:
-    """Study one scene; runs on a worker."""
+    """Study one scene, and return its record as JSON-able values; runs on a worker."""
     from distributed import get_worker
-
-    from mibvh.studies.run import study_scene
 
     worker = get_worker()
 
-    def report(scene: str, stage: str, done: float) -> None:
-        worker.log_event(topic, (scene, stage, done))
+    def listener(step: Progress) -> None:
+        worker.log_event(topic, dataclasses.astuple(step))
 
     with _machine_to_ourselves():
-        return study_scene(load(source), options, _store(), report)
+        return study_scene(load(source), options, _store(), listener).to_json()
 
 
 @functools.cache

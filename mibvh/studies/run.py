@@ -1,55 +1,40 @@
-"""Run a study: scene by scene, tree by tree, everything kept as it is finished."""
+"""Run a study: scene by scene, everything kept as it is finished; then tables and a report."""
 
 from __future__ import annotations
 
-import base64
 import dataclasses
 import functools
+import inspect
 import json
 import os
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mibvh.builders import get, names
-from mibvh.environment import environment
+from mibvh.builders import names
 from mibvh.errors import MibvhError
 from mibvh.files import write_text
-from mibvh.rays import RaySet, diffuse_rays
-from mibvh.scene import Scene, load
-from mibvh.studies.catalogue import scenes_in, triangle_count_notes
-from mibvh.studies.depth import depth_experiment, depth_table
-from mibvh.studies.options import StudyOptions
-from mibvh.studies.pieces import RayCounter, cameras, report_part, study_tree, times
-from mibvh.studies.rotation import rotation_experiment, rotation_factors
-from mibvh.studies.sensitivity import sensitivity_experiment, sensitivity_table
-from mibvh.studies.store import Store, key_of
-from mibvh.tree import Tree
-from mibvh.variant import give_back_memory
+from mibvh.scene import load
+from mibvh.studies.analyse.depth import depth_table
+from mibvh.studies.analyse.rotation import rotation_factors
+from mibvh.studies.analyse.sensitivity import sensitivity_table
+from mibvh.studies.measure.scene import study_scene
+from mibvh.studies.measure.store import Store
+from mibvh.studies.measure.trees import TreeSource
+from mibvh.studies.paper.catalogue import scenes_in, triangle_count_notes
+from mibvh.studies.record.options import StudyOptions
+from mibvh.studies.record.progress import Listener, Progress
+from mibvh.studies.record.scene import FORMAT, SceneRecord
 
 if TYPE_CHECKING:
     import pandas as pd
-
-#: Called as ``progress(scene, stage, done)`` with ``done`` from 0 to 1 within the scene.
-Progress = Callable[[str, str, float], None]
 
 _KEPT = "scene-"
 #: Names of the scenes that the study has finished, in order.
 _FINISHED = "study"
 #: The tables and figures that the last run wrote.
 _WRITTEN = "study-files"
-#: What a scene's record holds; to be raised with every change of its fields.
-_FORMAT = 6
-#: What the seconds are spent on, by the first word of the pieces' names.
-_STAGES = {
-    "rayset": "rays",
-    "tree": "trees",
-    "metrics": "metrics",
-    "counts": "counts",
-    "depth": "depth",
-    "timing": "stopwatch",
-    "picture": "picture",
-}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,43 +45,43 @@ class Study:
     ----------
     folder : Path
         Where its files are.
-    scenes : list of dict
-        One record per scene; see :func:`study_scene`.
+    scenes : list of SceneRecord
+        One per scene.
     environment : dict
         What it was measured on.
     """
 
     folder: Path
-    scenes: list[dict[str, Any]]
+    scenes: list[SceneRecord]
     environment: dict[str, Any]
 
     @functools.cached_property
     def table(self) -> pd.DataFrame:
         """One row per scene and tree."""
-        from mibvh.studies.tables import wide_table
+        from mibvh.studies.report.tidy import wide_table
 
         return wide_table(self.scenes)
 
     @functools.cached_property
     def correlations(self) -> pd.DataFrame:
         """One row per scene, measurement and predictor."""
-        from mibvh.studies.analyse import correlations
+        from mibvh.studies.analyse.correlations import correlations
 
         return correlations(self.scenes)
 
     @functools.cached_property
     def rotation(self) -> pd.DataFrame:
-        """By what turning raises costs; see :func:`mibvh.studies.rotation.rotation_factors`."""
+        """By what rotating raises costs; see :mod:`mibvh.studies.analyse.rotation`."""
         return rotation_factors(self.scenes)
 
     @functools.cached_property
     def sensitivity(self) -> pd.DataFrame:
-        """Other choices; see :func:`mibvh.studies.sensitivity.sensitivity_table`."""
+        """Other choices; see :mod:`mibvh.studies.analyse.sensitivity`."""
         return sensitivity_table(self.scenes)
 
     @functools.cached_property
     def depth(self) -> pd.DataFrame:
-        """Where in the trees cost and overlap sit; see :func:`mibvh.studies.depth.depth_table`."""
+        """Where in the trees cost and overlap sit; see :mod:`mibvh.studies.analyse.depth`."""
         return depth_table(self.scenes)
 
     @property
@@ -110,7 +95,7 @@ def study(
     folder: str | os.PathLike[str] = "out",
     *,
     options: StudyOptions | None = None,
-    progress: Progress | None = None,
+    progress: Listener | None = None,
     scheduler: str | None = None,
     **choices: Any,
 ) -> Study:
@@ -124,7 +109,7 @@ def study(
         Results go here; run again with the same folder to go on after an interruption.
     options : StudyOptions, optional
     progress : callable, optional
-        Called as ``progress(scene, stage, done)``.
+        Called with a :class:`mibvh.studies.Progress` at every step.
     scheduler : str, optional
         Address of a Dask scheduler whose workers study the scenes, each on one worker (see
         :mod:`mibvh.studies.cluster`); ``scenes`` are then names and files, no Scene objects.
@@ -141,173 +126,98 @@ def study(
         If a scene cannot be loaded, a builder is unknown, an option is out of range, or the
         scheduler cannot be used.
     """
-    options = options or StudyOptions(**choices)
+    options = _with_builders(options or StudyOptions(**choices))
     if not scenes:
         raise MibvhError("a study needs at least one scene")
-    chosen = options.builders or tuple(names())
-    for name in chosen:
-        get(name)
-    if len(set(chosen)) < len(chosen):
-        raise MibvhError(f"a builder is named twice: {', '.join(chosen)}")
-    options = dataclasses.replace(options, builders=chosen)
     store = Store(Path(folder) / "cache")
     sources = [part for given in scenes for part in scenes_in(given)]
-    progress = progress or (lambda *_: None)
-    records: list[dict[str, Any]] = []
-    taken: set[str] = set()
+    listener = _listener(progress)
     if scheduler is None:
-        for source in sources:
-            scene = load(source)
-            _check_new(scene.name, taken)
-            records.append(study_scene(scene, options, store, progress))
-            _note_finished(store, records)
+        found = _study_here(sources, options, store, listener)
     else:
         from mibvh.studies.cluster import study_on_cluster
 
-        for record in study_on_cluster(sources, options, scheduler, progress):
-            _check_new(record["scene"], taken)
-            store.write(_KEPT + record["scene"], record)
-            records.append(record)
-            _note_finished(store, records)
+        found = study_on_cluster(sources, options, scheduler, listener)
+    records: list[SceneRecord] = []
+    for record in found:
+        _refuse_twice(record.scene, [r.scene for r in records])
+        notes = [*record.notes, *triangle_count_notes(record.scene, record.triangles)]
+        records.append(dataclasses.replace(record, notes=notes))
+        store.write(_KEPT + record.scene, records[-1].to_json())
+        # The folder may hold scenes of other studies before this one.
+        store.write(_FINISHED, {"scenes": [r.scene for r in records], "format": FORMAT})
     write_outputs(Path(folder), records)
-    return Study(Path(folder), records, records[-1]["environment"])
+    return Study(Path(folder), records, records[-1].environment)
 
 
-def _note_finished(store: Store, records: list[dict[str, Any]]) -> None:
-    """Note which scenes are this study's: the folder may hold those of others before it."""
-    store.write(_FINISHED, {"scenes": [record["scene"] for record in records], "format": _FORMAT})
+def _with_builders(options: StudyOptions) -> StudyOptions:
+    """Fill in the builders, and see that each is known and named once."""
+    chosen = options.builders or tuple(names())
+    for name in chosen:
+        TreeSource.parse(name)
+    if len(set(chosen)) < len(chosen):
+        raise MibvhError(f"a builder is named twice: {', '.join(chosen)}")
+    return dataclasses.replace(options, builders=chosen)
 
 
-def _check_new(name: str, taken: set[str]) -> None:
+def _study_here(
+    sources: Sequence[Any], options: StudyOptions, store: Store, listener: Listener
+) -> Iterator[SceneRecord]:
+    """Study the scenes one after the other on this machine."""
+    taken: list[str] = []
+    for source in sources:
+        scene = load(source)
+        _refuse_twice(scene.name, taken)
+        taken.append(scene.name)
+        yield study_scene(scene, options, store, listener)
+
+
+def _refuse_twice(name: str, taken: Sequence[str]) -> None:
     """See that no other scene of the study has this name."""
     if name in taken:
         raise MibvhError(f"two scenes are called {name}; rename a file or folder")
-    taken.add(name)
 
 
-def study_scene(
-    scene: Scene, options: StudyOptions, store: Store, progress: Progress
-) -> dict[str, Any]:
-    """Study one scene.
-
-    Returns
-    -------
-    dict
-        JSON-able: ``scene``, ``triangles``, ``rays`` (facts of the ray set), ``timing`` (per
-        lane mode: rounds, whether the error asked for was reached, and how far the same tree,
-        timed twice under two names, differed), ``trees`` (one dict per builder: metrics,
-        counters, times and their relative errors), ``options``, ``seconds`` (what each stage
-        took, in the runs that its pieces were made in), and, where those experiments were asked
-        for, ``rotation`` (see :func:`~mibvh.studies.rotation.rotation_experiment`) and
-        ``sensitivity`` (see :func:`~mibvh.studies.sensitivity.sensitivity_experiment`).
-    """
-    triangles = scene.triangles
-    report = functools.partial(progress, scene.name)
-    store.begin()
-    shares = _shares(options.experiments)
-    part = functools.partial(_part, report, *shares["prediction"])
-    rays_key = key_of(digest=triangles.digest, cameras=cameras(scene), **options.rays())
-    part("rays", 0.0)
-    rays = store.array(RaySet, rays_key, functools.partial(diffuse_rays, scene, **options.rays()))
-    counter = RayCounter(scene, rays, options.cull)
-    trees: dict[str, Tree] = {}
-    rows: list[dict[str, Any]] = []
-    share = 0.5 / len(options.builders)
-    for i, name in enumerate(options.builders):
-        stage = functools.partial(report_part, part, name, 0.02 + share * i, share)
-        key, tree, row = study_tree(name, scene, counter, rays_key, store, stage)
-        if "depth" in options.experiments:
-            piece = key_of(tree=key, format=2)
-            row.update(store.kept(f"depth-{piece}", functools.partial(depth_experiment, tree)))
-        trees[key] = tree
-        rows.append(row)
-    timing = {}
-    for i, lanes in enumerate(("scalar", "simd")):
-        stage = functools.partial(report_part, part, lanes, 0.55 + 0.2 * i, 0.2)
-        key = key_of(trees=list(trees), rays=rays_key, lanes=lanes, machine=environment(),
-                     options=options.stopwatch(lanes))  # fmt: skip
-        make = functools.partial(times, list(trees.values()), scene, rays, lanes, options, stage)
-        found = store.kept(f"timing-{key}", make)
-        for row, ns, error in zip(rows, found.pop("ns"), found.pop("error"), strict=True):
-            row[f"{lanes}_ns"], row[f"{lanes}_error"] = ns, error
-        timing[lanes] = found
-    give_back_memory()  # the records of all trees at once, of which the rest needs one at a time
-    record = {
-        "scene": scene.name,
-        "triangles": len(triangles),
-        "digest": triangles.digest,
-        "notes": [*scene.notes, *triangle_count_notes(scene.name, len(triangles))],
-        "rays": {**rays.meta, "count": len(rays), "digest": rays.digest},
-        "timing": timing,
-        "trees": rows,
-        "options": dataclasses.asdict(options),
-        "environment": environment(),
-        "picture": store.kept(f"picture-{rays_key}", functools.partial(_picture, scene)),
-    }
-    seconds = {_STAGES[kind]: spent for kind, spent in store.spent.items()}
-    if "rotation" in options.experiments:
-        store.begin()
-        part = functools.partial(_part, report, *shares["rotation"])
-        record["rotation"] = rotation_experiment(
-            scene, rays, rays_key, trees, environment(), options, store, part
+def _listener(progress: Callable[..., None] | None) -> Listener:
+    """Return what is told of the steps; callbacks of three arguments are of older versions."""
+    if progress is None:
+        return lambda step: None
+    try:
+        inspect.signature(progress).bind("scene", "stage", 0.0)
+    except (TypeError, ValueError):
+        return progress
+    try:
+        inspect.signature(progress).bind("step")
+    except TypeError:
+        warnings.warn(
+            "progress(scene, stage, done) is deprecated: it is called with one Progress",
+            DeprecationWarning,
+            stacklevel=3,
         )
-        seconds["rotation"] = sum(store.spent.values())
-        give_back_memory()
-    if "sensitivity" in options.experiments:
-        store.begin()
-        part = functools.partial(_part, report, *shares["sensitivity"])
-        record["sensitivity"] = sensitivity_experiment(
-            scene, rays, rays_key, trees, options, store, part
-        )
-        seconds["sensitivity"] = sum(store.spent.values())
-    record["seconds"] = seconds
-    store.write(_KEPT + scene.name, record)
-    report("done", 1.0)
-    return record
+        return lambda step: progress(step.scene, _words(step), step.done)
+    return progress
 
 
-def _shares(experiments: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Where in the progress of a scene each experiment begins, and its share.
-
-    They end short of 1, which says that the scene is done.
-    """
-    weights = {"prediction": 1.0, "rotation": 1.0, "sensitivity": 0.6}
-    chosen = {n: w for n, w in weights.items() if n == "prediction" or n in experiments}
-    total, begin, shares = 1.01 * sum(chosen.values()), 0.0, {}
-    for name, weight in chosen.items():
-        shares[name] = (begin / total, weight / total)
-        begin += weight
-    return shares
+def _words(step: Progress) -> str:
+    return f"{step.stage} {step.builder}" if step.builder else step.stage
 
 
-def _part(
-    report: Callable[[str, float], None], begin: float, share: float, stage: str, done: float
-) -> None:
-    report(stage, begin + share * done)
-
-
-def _picture(scene: Scene) -> dict[str, Any]:
-    from mibvh.picture import picture, png
-
-    return {"png": base64.b64encode(png(picture(scene))).decode()}
-
-
-def write_outputs(folder: Path, records: list[dict[str, Any]]) -> None:
+def write_outputs(folder: Path, records: Sequence[SceneRecord]) -> None:
     """Write the tables, the environment and the report of the scenes that are finished.
 
     Tables and figures of an earlier run that are not among those of this one are removed.
     """
-    from mibvh.studies.analyse import correlations
-    from mibvh.studies.answers import answers, scene_answers
-    from mibvh.studies.report import write_report
-    from mibvh.studies.tables import write_sheets, write_tables
+    from mibvh.studies.analyse.correlations import correlations
+    from mibvh.studies.report.html import write_report
+    from mibvh.studies.report.tables import answers, scene_answers
+    from mibvh.studies.report.tidy import write_sheets, write_tables
 
     found = correlations(records)
     sheets = answers(records, found)
     of_scenes = [scene_answers(record, found) for record in records]
     write_tables(folder, records, found)
     written = write_sheets(folder, [*sheets, *(sheet for scene in of_scenes for sheet in scene)])
-    write_text(folder / "environment.json", json.dumps(records[-1]["environment"], indent=2))
+    write_text(folder / "environment.json", json.dumps(records[-1].environment, indent=2))
     write_text(folder / "results.md", "\n".join(sheet.markdown() for sheet in sheets))
     written += write_report(folder, records, found, sheets, of_scenes)
     store = Store(folder / "cache")
@@ -330,11 +240,12 @@ def read_study(folder: str | os.PathLike[str]) -> Study:
     finished = store.read(_FINISHED) if store else None
     if store is None or finished is None:
         raise MibvhError(f"{folder}: there is no finished scene of a study in this folder")
-    if finished["format"] != _FORMAT:
+    if finished["format"] != FORMAT:
         raise MibvhError(
             f"{folder}: this study was made by another version of mibvh; run it again with this one"
         )
-    records = [record for name in finished["scenes"] if (record := store.read(_KEPT + name))]
-    if len(records) < len(finished["scenes"]):
+    kept = [found for name in finished["scenes"] if (found := store.read(_KEPT + name))]
+    if len(kept) < len(finished["scenes"]):
         raise MibvhError(f"{folder}: a scene of this study is damaged; run it again to mend it")
-    return Study(Path(folder), records, records[-1]["environment"])
+    records = [SceneRecord.from_json(found) for found in kept]
+    return Study(Path(folder), records, records[-1].environment)

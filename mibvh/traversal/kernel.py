@@ -13,6 +13,7 @@ import drjit as dr
 from mibvh.traversal.geometry import inverse
 from mibvh.traversal.records import DONE, Records
 from mibvh.traversal.steps import fetch, new_stack, node_step, pop, triangle_step
+from mibvh.traversal.visits import Visits
 from mibvh.variant import mitsuba
 
 
@@ -27,7 +28,7 @@ def walk(
     cull: bool,
     count: bool,
     any_hit: bool,
-) -> tuple[Any, ...]:
+) -> Visits:
     """Trace rays through a tree in one loop.
 
     Parameters
@@ -49,28 +50,25 @@ def walk(
 
     Returns
     -------
-    t : Float
-        Distance of the closest hit in the records' units; infinite for a miss.
-    triangle : UInt32
-        Its id; 2**32 - 1 for a miss.
-    inner, leaves, tests : UInt32
-        Inner nodes and leaves visited, triangles tested; zero unless counted.
+    Visits
+        The counters are zero unless counted.
     """
     mi = mitsuba()
     n = dr.width(o)
     inv = inverse(d)
-    stack, begins = new_stack(cull)
-    top = dr.full(mi.UInt32, 0, n)
-    t = dr.select(active, tmax, 0)
-    triangle = dr.full(mi.UInt32, 0xFFFFFFFF, n)
+    stack, begins = new_stack(cull)  # nodes put off; where they begin, if popped ones are re-tested
+    top = dr.full(mi.UInt32, 0, n)  # entries of the stack
+    t = dr.select(active, tmax, 0)  # distance of the current hit
+    triangle = dr.full(mi.UInt32, 0xFFFFFFFF, n)  # the current hit
+    # Code of the inner node, or of the leaf's next triangle, that the next step is for.
     node = dr.select(active, mi.Int32(records.root), mi.Int32(DONE))
-    inner = dr.full(mi.UInt32, 0, n)
-    leaves = dr.full(mi.UInt32, 0, n)
-    tests = dr.full(mi.UInt32, 0, n)
-    fresh = dr.full(mi.Bool, True, n)
+    inner = dr.full(mi.UInt32, 0, n)  # inner nodes visited
+    leaves = dr.full(mi.UInt32, 0, n)  # leaves visited
+    tests = dr.full(mi.UInt32, 0, n)  # triangles tested
+    fresh = dr.full(mi.Bool, True, n)  # the next triangle is the first of its leaf
 
     while node != DONE:
-        lost = mi.Bool(False)
+        lost = mi.Bool(False)  # the lane has nowhere to go but to the stack
         # One fetch for both kinds of row.
         row = fetch(records, node)
         if node >= 0:
@@ -92,4 +90,4 @@ def walk(
         if lost:
             node, top = pop(stack, begins, top, t)
     t = dr.select(triangle == 0xFFFFFFFF, dr.inf, t)
-    return t, triangle, inner, leaves, tests
+    return Visits(t, triangle, inner, leaves, tests)

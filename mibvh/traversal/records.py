@@ -132,21 +132,42 @@ def make_records(tree: Tree, triangles: Any, layout: Layout = "binary") -> Recor
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
     scale = unit_scale(triangles)
+    if layout == "binary":
+        rows, root = binary_rows(tree, triangles)
+        return Records(own_memory(rows), root, float(scale), layout)
     corners = triangles.corners * scale
-    lower, upper = tree.lower * scale, tree.upper * scale
-    if layout == "wide":
-        shapes = _triangle_rows(corners, tree.references, np.ones_like(tree.references))
-        rows, root, depth = collapse(tree, corners, lower, upper).rows(shapes)
-    else:
-        nodes, root = _node_rows(lower, upper, tree.left, tree.first)
-        last = np.zeros(len(tree.references), np.int32)
-        leaves = tree.is_leaf
-        last[tree.first[leaves] + tree.count[leaves] - 1] = 1
-        rows = np.concatenate([nodes, _triangle_rows(corners, tree.references, last)])
-        depth = tree.depth
+    shapes = _triangle_rows(corners, tree.references, np.ones_like(tree.references))
+    # Boxes may be larger than the scene; the grid of the wide rows is not.
+    lower, upper = (
+        np.clip(box * scale, corners.min(), corners.max()) for box in (tree.lower, tree.upper)
+    )
+    wide = collapse(tree, corners, lower, upper)
+    rows, root, depth = wide.rows(shapes)
+    _check_depth(depth)
+    return Records(own_memory(rows), root, float(scale), layout)
+
+
+def binary_rows(tree: Tree, triangles: Triangles) -> tuple[F32, int]:
+    """Rows of the binary layout in NumPy's memory, and the root's code.
+
+    Raises
+    ------
+    MibvhError
+        If the tree is too deep for the stack.
+    """
+    _check_depth(tree.depth)
+    scale = unit_scale(triangles)
+    nodes, root = _node_rows(tree.lower * scale, tree.upper * scale, tree.left, tree.first)
+    last = np.zeros(len(tree.references), np.int32)
+    leaves = tree.is_leaf
+    last[tree.first[leaves] + tree.count[leaves] - 1] = 1
+    shapes = _triangle_rows(triangles.corners * scale, tree.references, last)
+    return np.concatenate([nodes, shapes]), int(root)
+
+
+def _check_depth(depth: int) -> None:
     if depth > MAX_DEPTH:
         raise MibvhError(f"the tree is {depth} levels deep; the traversal stack has {MAX_DEPTH}")
-    return Records(own_memory(rows), int(root), float(scale), layout)
 
 
 def unit_scale(triangles: Triangles) -> np.float32:

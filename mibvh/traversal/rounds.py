@@ -21,6 +21,7 @@ import drjit as dr
 from mibvh.traversal.geometry import inverse
 from mibvh.traversal.records import DONE, Records
 from mibvh.traversal.steps import fetch, new_stack, node_step, pop, triangle_step
+from mibvh.traversal.visits import Visits
 from mibvh.variant import mitsuba
 
 
@@ -37,7 +38,7 @@ def walk_in_rounds(
     count: bool,
     any_hit: bool,
     longest: Any = None,
-) -> tuple[Any, ...]:
+) -> Visits:
     """Trace rays through a tree in rounds.
 
     Parameters
@@ -53,28 +54,30 @@ def walk_in_rounds(
 
     Returns
     -------
-    t, triangle, inner, leaves, tests
+    Visits
         As from :func:`mibvh.traversal.kernel.walk`.
     """
     mi = mitsuba()
     n = dr.width(o)
     inv = inverse(d)
-    stack, begins = new_stack(cull)
-    top = dr.full(mi.UInt32, 0, n)
-    t = dr.select(active, tmax, 0)
-    triangle = dr.full(mi.UInt32, 0xFFFFFFFF, n)
+    stack, begins = new_stack(cull)  # nodes put off; where they begin, if popped ones are re-tested
+    top = dr.full(mi.UInt32, 0, n)  # entries of the stack
+    t = dr.select(active, tmax, 0)  # distance of the current hit
+    triangle = dr.full(mi.UInt32, 0xFFFFFFFF, n)  # the current hit
+    # Code of the node to go to: an inner one; or the leaf at which the descent ended.
     node = dr.select(active, mi.Int32(records.root), mi.Int32(DONE))
-    #: Code of the next triangle of the leaf at hand, or of the leaf put aside.
+    # Code of the next triangle of the leaf at hand, or of the leaf put aside.
     leaf = dr.full(mi.Int32, DONE, n)
     if dr.hint(postpone and records.root < 0, mode="scalar"):
         node, leaf = mi.Int32(leaf), mi.Int32(node)
-    inner = dr.full(mi.UInt32, 0, n)
-    leaves = dr.full(mi.UInt32, 0, n)
-    tests = dr.full(mi.UInt32, 0, n)
+    inner = dr.full(mi.UInt32, 0, n)  # inner nodes visited
+    leaves = dr.full(mi.UInt32, 0, n)  # leaves visited
+    tests = dr.full(mi.UInt32, 0, n)  # triangles tested
+    # Where the packet's round is in the buffers of the longest.
     place = dr.full(mi.UInt32, 0, n) if longest is None else mi.UInt32(longest[0])
 
     while (node != DONE) | (leaf != DONE):
-        descended, tested = mi.UInt32(0), mi.UInt32(0)
+        descended, tested = mi.UInt32(0), mi.UInt32(0)  # steps of this round
         # -- descend
         while node >= 0:
             row = fetch(records, node)
@@ -118,4 +121,4 @@ def walk_in_rounds(
                 dr.scatter_reduce(dr.ReduceOp.Max, longest[2], tested, place)
                 place += 1
     t = dr.select(triangle == 0xFFFFFFFF, dr.inf, t)
-    return t, triangle, inner, leaves, tests
+    return Visits(t, triangle, inner, leaves, tests)

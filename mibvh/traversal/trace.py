@@ -5,23 +5,34 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.files import atomic_path
+from mibvh.files import check_columns, read_arrays, write_arrays
+from mibvh.ranges import check
 from mibvh.rays import RaySet
-from mibvh.traversal.records import Layout, Records, make_records, own_memory, unit_scale
-from mibvh.traversal.schedule import Schedule, issued_by_bursts, issued_in_step
+from mibvh.traversal.kernel_rays import kernel_rays
+from mibvh.traversal.records import Layout, Records, make_records, unit_scale
+from mibvh.traversal.styles import STYLES, find_style
+from mibvh.traversal.visits import Visits
 from mibvh.tree import Tree
 from mibvh.triangles import F32, I32, as_triangles
 from mibvh.variant import lane_width, mitsuba
 
 Lanes = Literal["simd", "scalar"]
-Style = Literal["single", "while-while", "postponed", "wide"]
+#: Name of a style in :data:`mibvh.traversal.styles.STYLES`.
+Style = str
 U32 = npt.NDArray[np.uint32]
+_COLUMNS = {
+    "t": "float32", "triangle": "int32", "inner": "uint32", "leaves": "uint32", "tests": "uint32",
+    "steps": "uint32",
+}  # fmt: skip
+_ARRAYS = (*_COLUMNS, "seconds")
+#: What else a file of hits tells.
+_FACTS = {"lanes": str, "lane_width": int, "issued": int, "style": str}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -48,8 +59,7 @@ class Hits:
     issued : int
         Lane-steps that the packets went through, busy and idle lanes alike.
     style : str
-        ``single`` (:mod:`mibvh.traversal.kernel`), ``while-while`` or ``postponed``
-        (:mod:`mibvh.traversal.rounds`), or ``wide`` (:mod:`mibvh.traversal.wide`).
+        One of :data:`mibvh.traversal.styles.STYLES`.
     """
 
     t: F32
@@ -66,6 +76,10 @@ class Hits:
 
     def __len__(self) -> int:
         return len(self.t)
+
+    def __repr__(self) -> str:
+        hit = int((self.triangle >= 0).sum())
+        return f"Hits({len(self):,} rays, {hit:,} hits, {self.lanes}, {self.style!r})"
 
     @property
     def lcv(self) -> float:
@@ -111,7 +125,7 @@ class Hits:
             "inner_deviation": float(np.std(self.inner, dtype=np.float64)),
             "steps_deviation": float(np.std(self.steps, dtype=np.float64)),
         }
-        prefix = "wide_" if self.style == "wide" else ""
+        prefix = STYLES[self.style].prefix
         return {
             "hits": int((self.triangle >= 0).sum()),
             **{prefix + name: value for name, value in of_tree.items()},
@@ -137,10 +151,35 @@ class Hits:
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write ``t``, ``triangle`` and the counters to an ``.npz`` file."""
-        names = ("t", "triangle", "inner", "leaves", "tests", "steps", "seconds")
-        with atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **{name: getattr(self, name) for name in names})
+        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`."""
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        write_arrays(path, arrays, {name: getattr(self, name) for name in _FACTS}, kind="hits")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Hits:
+        """Read hits back.
+
+        Raises
+        ------
+        MibvhError
+            If the file is missing, holds no hits, is damaged, or comes from a newer format.
+        """
+        arrays, meta = read_arrays(path, "hits", _ARRAYS)
+        check_columns(path, "hits", arrays, _COLUMNS)
+        if arrays["seconds"].dtype != np.float64 or arrays["seconds"].ndim != 1:
+            raise MibvhError(f"{path}: hits: the seconds are no times")
+        for name, kind in _FACTS.items():
+            if type(meta.get(name)) is not kind:
+                raise MibvhError(f"{path}: hits: {name} is {meta.get(name)!r}")
+        fields: dict[str, Any] = {**arrays, **{name: meta[name] for name in _FACTS}}
+        hits = cls(**fields)
+        if not (hits.t >= 0).all() or not (np.isfinite(hits.t) == (hits.triangle >= 0)).all():
+            raise MibvhError(f"{path}: hits: a distance is no distance, or has no triangle")
+        if (hits.triangle < -1).any() or not (
+            np.isfinite(hits.seconds) & (hits.seconds >= 0)
+        ).all():
+            raise MibvhError(f"{path}: hits: a triangle or a time is negative")
+        return hits
 
 
 class Tracer:
@@ -153,7 +192,7 @@ class Tracer:
         From scene units to those of the records (:attr:`Records.scale`).
     lanes : "simd" or "scalar"
         Scalar is the paper's way: one lane of each packet carries rays, all others have exited.
-    style : "single", "while-while", "postponed" or "wide"
+    style : "single", "while-while", "speculative" or "wide"
         The binary tree in one loop, as the study uses it; in rounds of descending and testing
         leaves, without and with a leaf put aside (the speculative kernel of Aila and Laine 2009);
         or the fastest kernel, nodes of eight children and lanes that fetch their next ray.
@@ -176,65 +215,37 @@ class Tracer:
     ) -> None:
         if lanes not in ("simd", "scalar"):
             raise MibvhError(f"lanes must be simd or scalar, not {lanes!r}")
-        if style not in get_args(Style):
-            raise MibvhError(f"style must be one of {', '.join(get_args(Style))}, not {style!r}")
-        if cull and style == "wide":
-            raise MibvhError("the wide style does not re-test popped nodes: leave cull off")
+        self._style = find_style(style)
+        if cull and not self._style.culls:
+            raise MibvhError(
+                f"the {self.style} style does not re-test popped nodes: leave cull off"
+            )
         if len(rays) == 0:
             raise MibvhError("there are no rays to trace")
         mitsuba()
-        self.lanes, self.style, self.cull, self.any_hit = lanes, style, cull, any_hit
-        self.count, self.width = len(rays), lane_width()
-        # Rays that are no numbers hit nothing, and must not upset their neighbours.
-        sound = np.isfinite(rays.o).all(1) & np.isfinite(rays.d).all(1) & ~np.isnan(rays.tmax)
-        o = np.where(sound[:, None], rays.o * np.float32(scale), 0)
-        d = np.where(sound[:, None], rays.d, 0)
-        #: Scene units to the kernel's unit of distance, a power of two: directions are brought
-        #: to a length near 1, so that products neither overflow nor underflow.
-        stretch = np.ldexp(1.0, np.frexp(np.abs(d).max(1))[1].clip(-100, 100))
-        self.unit = stretch * scale
-        d = (d / stretch[:, None]).astype(np.float32)
-        with np.errstate(over="ignore"):
-            tmax = np.where(sound & (d != 0).any(1), rays.tmax * self.unit, -1).astype(np.float32)
-        if style == "wide":
-            self._prepare_wide(o, d, tmax)
-        else:
-            self._prepare_binary(o, d, tmax)
+        self.lanes, self.count, self.width = lanes, len(rays), lane_width()
+        prepared = kernel_rays(rays, scale)
+        #: From distances along the rays to the kernel's.
+        self.unit = prepared.unit
+        self.launch = self._style.prepare(prepared, lanes == "scalar", cull, any_hit)
+
+    @property
+    def style(self) -> str:
+        """Name of the style."""
+        return self._style.name
 
     @property
     def layout(self) -> Layout:
         """Layout of the records that the style reads."""
-        return "wide" if self.style == "wide" else "binary"
+        return self._style.layout
 
-    def _prepare_binary(self, o: F32, d: F32, tmax: F32) -> None:
-        import drjit as dr
-
-        mi = mitsuba()
-        spread = self.width if self.lanes == "scalar" else 1
-        self._active = mi.Bool(np.repeat(tmax >= 0, spread))
-        if spread > 1:
-            self._active &= dr.arange(mi.UInt32, self.count * spread) % spread == 0
-        self._o = mi.Point3f(np.repeat(o, spread, axis=0).T)
-        self._d = mi.Vector3f(np.repeat(d, spread, axis=0).T)
-        self._tmax = mi.Float(np.repeat(tmax, spread))
-        dr.eval(self._o, self._d, self._tmax, self._active)
-
-    def _prepare_wide(self, o: F32, d: F32, tmax: F32) -> None:
-        from mibvh.traversal.wide import RAY_ROW
-
-        rows = np.zeros((self.count, RAY_ROW), np.float32)
-        rows[:, :3], rows[:, 3:6], rows[:, 6] = o, d, tmax
-        self._rows = own_memory(rows)
-        self._schedule = Schedule.of(self.count, self.width, self.lanes == "scalar")
-        self._first, self._end = self._schedule.rays()
-
-    def run(self, records: Records, *, count: bool = False) -> tuple[tuple[Any, ...], float]:
+    def run(self, records: Records, *, count: bool = False) -> tuple[Visits, float]:
         """Trace once.
 
         Returns
         -------
-        outputs : tuple
-            What :func:`mibvh.traversal.kernel.walk` returns, evaluated.
+        visits : Visits
+            Dr.Jit arrays, evaluated; the counters only if they were asked for.
         seconds : float
             Kernel execution time, without tracing and compilation.
         """
@@ -244,13 +255,16 @@ class Tracer:
             raise MibvhError(
                 f"the {self.style} style reads {self.layout} records, not {records.layout} ones"
             )
-        launch = self._launch_wide if self.style == "wide" else self._launch_binary
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
-            outputs = launch(records, count)
+            visits = self.launch(records, count)
             dr.sync_thread()
             history = dr.kernel_history([dr.KernelType.JIT])
-        return outputs, sum(kernel["execution_time"] for kernel in history) / 1e3
+        return visits, sum(kernel["execution_time"] for kernel in history) / 1e3
+
+    def fetch(self, column: Any) -> npt.NDArray[Any]:
+        """One column of visits as a NumPy array with an entry per ray."""
+        return self.launch.fetch(column)
 
     def hits(self, records: Records, repeats: int = 0) -> Hits:
         """Launch once with counters, and, if asked for, so many times more to be timed.
@@ -269,88 +283,12 @@ class Tracer:
         if repeats:
             self.run(records)  # the first launch may compile
         seconds = np.array([self.run(records)[1] for _ in range(repeats)])
-        t, triangle, inner, leaves, tests = (self.fetch(column) for column in outputs)
+        visits = Visits(*map(self.fetch, outputs))
         return Hits(
-            (t / self.unit).astype(np.float32), triangle.view(np.int32),
-            inner, leaves, tests, inner + tests, seconds,
-            self.lanes, self.width, self.issued(records, inner, leaves, tests), self.style,
+            (visits.t / self.unit).astype(np.float32), visits.triangle.view(np.int32),
+            *visits[2:], visits.inner + visits.tests, seconds,
+            self.lanes, self.width, self.launch.issued(records, visits), self.style,
         )  # fmt: skip
-
-    def _launch_binary(self, records: Records, count: bool, longest: Any = None) -> tuple[Any, ...]:
-        import drjit as dr
-
-        from mibvh.traversal.kernel import walk
-        from mibvh.traversal.rounds import walk_in_rounds
-
-        rays = self._o, self._d, self._tmax, self._active
-        if self.style == "single":
-            outputs = walk(records, *rays, cull=self.cull, count=count, any_hit=self.any_hit)
-        else:
-            outputs = walk_in_rounds(
-                records, *rays, postpone=self.style == "postponed",
-                cull=self.cull, count=count, any_hit=self.any_hit, longest=longest,
-            )  # fmt: skip
-        dr.eval(outputs if count else outputs[:2])
-        return outputs
-
-    def _launch_wide(self, records: Records, count: bool) -> tuple[Any, ...]:
-        import drjit as dr
-
-        from mibvh.traversal.wide import walk_wide
-
-        mi = mitsuba()
-        t = dr.empty(mi.Float, self.count)
-        triangle, inner, tests = (dr.empty(mi.UInt32, self.count) for _ in range(3))
-        walk_wide(
-            records, self._rows, self._first, self._end, self._schedule.lanes,
-            dr.opaque(mi.UInt32, self._schedule.burst), t, triangle, (inner, tests),
-            count=count, any_hit=self.any_hit,
-        )  # fmt: skip
-        dr.eval(t, triangle, inner, tests)
-        return t, triangle, inner, tests, tests
-
-    def fetch(self, column: Any) -> npt.NDArray[Any]:
-        """One output as a NumPy array with a row per ray."""
-        values = np.array(column)
-        return values[:: self.width].copy() if len(values) > self.count else values
-
-    def issued(self, records: Records, inner: U32, leaves: U32, tests: U32) -> int:
-        """Lane-steps that the packets went through for rays of so many visits."""
-        if self.style == "wide":
-            return issued_by_bursts(inner + tests, self._schedule)
-        if self.style == "single":
-            return issued_in_step(inner + tests, self.width, self.lanes == "scalar")
-        return int(self.rounds(records, leaves)[1].sum(dtype=np.int64)) * self.width
-
-    def rounds(self, records: Records, leaves: U32) -> tuple[I32, U32]:
-        """Launch once more, to see how long the rounds of each packet are.
-
-        Parameters
-        ----------
-        records : Records
-        leaves : (R,) uint32
-            Leaves that each ray visits.
-
-        Returns
-        -------
-        start : (P,) int32
-            Each packet's first round.
-        steps : (N, 2) uint32
-            The most steps that a lane took in a round, in the descent and in the leaves. A packet
-            has room for more rounds than it may take: the rest are zero.
-        """
-        import drjit as dr
-
-        mi = mitsuba()
-        lanes = 1 if self.lanes == "scalar" else self.width
-        # Every round but the last has a leaf.
-        room = np.maximum.reduceat(leaves, np.arange(0, self.count, lanes)).astype(np.int64) + 1
-        start = np.cumsum(room) - room
-        longest = [dr.zeros(mi.UInt32, int(room.sum())) for _ in range(2)]
-        place = np.repeat(start.astype(np.uint32), self.width)[: dr.width(self._o)]
-        self._launch_binary(records, True, (mi.UInt32(place), *longest))
-        dr.eval(longest)
-        return start.astype(np.int32), np.stack([np.array(column) for column in longest], axis=1)
 
 
 @functools.lru_cache(maxsize=2)
@@ -366,7 +304,7 @@ def trace(
     *,
     style: Style = "single",
     cull: bool = False,
-    any_hit: bool = False,
+    any_hit: bool | None = None,
     repeats: int = 5,
 ) -> Hits:
     """Trace a ray set through a tree: hits, exact counters and kernel times.
@@ -379,15 +317,16 @@ def trace(
     rays : RaySet
     lanes : "simd" or "scalar"
         Whether all lanes of a packet carry rays, or one does (the paper's scalar figures).
-    style : "single", "while-while", "postponed" or "wide"
+    style : "single", "while-while", "speculative" or "wide"
         The binary tree in one loop, as the study uses it; in rounds of descending and testing
         leaves, without and with a leaf put aside (the speculative kernel of Aila and Laine 2009);
         or the fastest kernel, on the tree collapsed to eight children per node.
     cull : bool
         Re-test popped nodes against the current hit. The paper's kernel does not, the wide
         style cannot.
-    any_hit : bool
-        End each ray at the first hit found instead of the closest.
+    any_hit : bool, optional
+        End each ray at the first hit found instead of the closest; by default as the rays are
+        (:attr:`mibvh.RaySet.occlusion`).
     repeats : int
         Timed launches, after one that is not counted.
 
@@ -401,14 +340,9 @@ def trace(
         If the tree or the rays belong to another geometry, or an argument is out of range.
     """
     triangles = as_triangles(triangles)
-    if repeats < 1:
-        raise MibvhError(f"repeats must be at least 1, not {repeats}")
-    belongs = rays.meta.get("digest")
-    if belongs not in (None, triangles.digest):
-        raise MibvhError(
-            f"the rays (of {rays.meta.get('scene', 'another scene')}) were made for another "
-            f"geometry than {triangles.name}"
-        )
+    check(repeats=repeats)
+    rays.check_matches(triangles)
+    any_hit = rays.occlusion if any_hit is None else any_hit
     scale = float(unit_scale(triangles))
     tracer = Tracer(rays, scale, lanes, style=style, cull=cull, any_hit=any_hit)
     records = _cached_records(tree, triangles, tracer.layout, mitsuba().variant())

@@ -72,17 +72,20 @@ def walk_wide(
     """
     mi = mitsuba()
     n = dr.width(first)
+    # Groups left for later, and which of their children are still to be visited.
     stack_group = dr.alloc_local(mi.UInt32, MAX_DEPTH)
     stack_todo = dr.alloc_local(mi.UInt32, MAX_DEPTH)
-    top = dr.full(mi.UInt32, 0, n)
-    ray = mi.UInt32(first)
-    begun = dr.full(mi.Bool, False, n)
-    busy = first < end
+    top = dr.full(mi.UInt32, 0, n)  # entries of the stacks
+    ray = mi.UInt32(first)  # the ray that the lane traces
+    begun = dr.full(mi.Bool, False, n)  # it has one
+    busy = first < end  # it has one, or is to fetch its first
     o, d = dr.zeros(mi.Point3f, n), dr.zeros(mi.Vector3f, n)
-    inv = dr.zeros(mi.Vector3f, n)
-    t = dr.full(mi.Float, 0, n)
-    triangle = dr.full(mi.UInt32, 0, n)
+    inv = dr.zeros(mi.Vector3f, n)  # 1 / d
+    t = dr.full(mi.Float, 0, n)  # distance of the current hit
+    triangle = dr.full(mi.UInt32, 0, n)  # the current hit
+    # The children at hand, and which of them are still to be visited.
     group, todo = dr.full(mi.UInt32, 0, n), dr.full(mi.UInt32, 0, n)
+    # Inner nodes visited, triangles tested.
     inner, tests = dr.full(mi.UInt32, 0, n), dr.full(mi.UInt32, 0, n)
 
     while busy:

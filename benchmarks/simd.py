@@ -1,0 +1,430 @@
+"""What a warp in lockstep costs, and what explains how far that is from scalar cost.
+
+    python benchmarks/simd.py SCENE ... --keep simd.json [--trees FOLDER] [--figure simd.svg]
+
+SCENE is whatever `mibvh study` takes. Trees of the nine builders are built, or read from
+`FOLDER/SCENE/BUILDER.npz`; rays are made, or read from `FOLDER/SCENE/rays160.npz`. What is
+measured is kept in a file: a second run goes on where the first was, and with no scene at all
+only the tables are printed. No clock is read: all figures are counts, the same on any machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+F64 = npt.NDArray[np.float64]
+
+WIDTHS = (1, 4, 8, 16, 32, 64)
+#: Simulated executions: style, width, order of the rays.
+RUNS: dict[str, tuple[str, int, str]] = {
+    **{f"persistent {w}": ("persistent", w, "stored") for w in WIDTHS},
+    "persistent 32, random": ("persistent", 32, "random"),
+    "speculative 32": ("speculative", 32, "stored"),
+    "speculative 32, random": ("speculative", 32, "random"),
+    "while-while 32": ("while-while", 32, "stored"),
+    "single 32": ("single", 32, "stored"),
+    "single 16": ("single", 16, "stored"),
+}
+#: The kernels whose deviation from scalar cost is to be explained.
+KERNELS = ("persistent 32", "persistent 32, random", "speculative 32", "speculative 32, random",
+           "single 16")  # fmt: skip
+#: What might explain it, each but for a factor that the trees of a scene share.
+QUANTITIES = {
+    "lcv": "LCV",
+    "lcv_mean": "LCV / mean leaves",
+    "cost_cv": "std of cost / mean",
+    "cost_within": "the same within warps",
+    "leaves_within": "std of leaves within warps / mean",
+    "leaves_most": "most leaves in a random warp / mean",
+    "cost_most": "greatest cost in a random warp / mean",
+    "cost_most_real": "greatest cost in a warp as stored / mean",
+    "rounds_fetch": "rounds model, fetching",
+    "rounds_wait": "rounds model, waiting",
+    "rounds_real": "rounds model, waiting, warps as stored",
+}
+#: Those that are estimates of the deviation itself, so that nothing need be fitted.
+ESTIMATES = ("cost_most", "cost_most_real", "rounds_fetch", "rounds_wait", "rounds_real")
+#: Products of quantities to powers; LCV's share of a waiting warp's cost is a quarter.
+EQUATIONS: dict[str, dict[str, float]] = {
+    "(std of cost / mean)^1/2": {"cost_cv": 0.5},
+    "(std of cost / mean)^1/2 x LCV^1/4": {"cost_cv": 0.5, "lcv": 0.25},
+}
+_RESAMPLED = 2000
+
+
+@dataclasses.dataclass
+class Row:
+    """One tree of one scene."""
+
+    scene: str
+    builder: str
+    triangles: int
+    rays: int
+    sah: float
+    epo: float
+    lcv: float
+    scalar: float
+    costs: dict[str, float]
+    utilisation: dict[str, float]
+    quantities: dict[str, float]
+
+
+# ------------------------------------------------------------ measuring
+
+
+def measure(scene: Any, builder: str, rays: Any, folder: Path | None) -> Row:
+    """Simulate all executions of one tree."""
+    import mibvh
+    from mibvh.metrics.points import estimate_epo
+    from mibvh.traversal import divergence
+    from mibvh.traversal.warp import ray_rounds, simulate
+
+    file = folder / scene.name / f"{builder}.npz" if folder else None
+    tree = mibvh.Tree.load(file) if file and file.exists() else mibvh.build(scene, builder)
+    alone = simulate(tree, scene, rays, 1, "single")
+    cost = 1.2 * alone.inner + alone.tests
+    rounds = ray_rounds(tree, scene, rays)
+    stored = np.arange(len(rays), dtype=np.int32)
+    mean_leaves = float(alone.leaves.mean())
+    runs = {
+        name: simulate(tree, scene, rays, width, style, order=order)  # type: ignore[arg-type]
+        for name, (style, width, order) in RUNS.items()
+    }
+    for name, run in runs.items():
+        if (run.t != alone.t).any() or (run.triangle != alone.triangle).any():
+            raise SystemExit(f"{scene.name}, {builder}, {name}: hits differ from scalar ones")
+    return Row(
+        scene.name, builder, len(scene.triangles), len(rays), mibvh.sah(tree),
+        # From points: of trees that split triangles, too.
+        estimate_epo(tree, scene, 200_000).value,
+        alone.lcv, alone.cost(),
+        {name: run.cost() for name, run in runs.items()},
+        {name: run.utilisation() for name, run in runs.items()},
+        {
+            "lcv": alone.lcv,
+            "lcv_mean": alone.lcv / mean_leaves,
+            "cost_cv": divergence.relative_deviation(cost),
+            "cost_within": divergence.within_packets(cost, 32),
+            "leaves_within": divergence.within_packets(alone.leaves, 32),
+            "leaves_most": divergence.expected_maximum(alone.leaves, 32),
+            "cost_most": divergence.expected_maximum(cost, 32),
+            "cost_most_real": divergence.packet_maximum(cost, 32),
+            "rounds_fetch": divergence.rounds_cost(rounds, 32, fetch=True) / alone.cost(),
+            "rounds_wait": divergence.rounds_cost(rounds, 32, fetch=False) / alone.cost(),
+            "rounds_real": divergence.rounds_cost(rounds, 32, fetch=False, dealt=stored)
+            / alone.cost(),
+        },
+    )  # fmt: skip
+
+
+def rays_of(scene: Any, folder: Path | None, width: int) -> Any:
+    """Rays that were made before, or new ones."""
+    import mibvh
+
+    file = folder / scene.name / "rays160.npz" if folder else None
+    if file and file.exists():
+        return mibvh.RaySet.load(file)
+    return mibvh.diffuse_rays(scene, width=width, height=3 * width // 4, samples=1)
+
+
+def measure_all(sources: list[str], keep: Path, folder: Path | None, width: int) -> list[Row]:
+    """Measure the trees that are not in the file yet, and keep them."""
+    import mibvh
+    from mibvh.builders import names
+    from mibvh.files import atomic_path
+
+    rows = [Row(**row) for row in json.loads(keep.read_text())] if keep.exists() else []
+    for source in sources:
+        scene, rays = mibvh.load(source), None
+        for builder in names():
+            if any((row.scene, row.builder) == (scene.name, builder) for row in rows):
+                continue
+            rays = rays or rays_of(scene, folder, width)
+            rows.append(measure(scene, builder, rays, folder))
+            print(scene.name, builder, f"{rows[-1].costs['persistent 32']:.2f}", flush=True)
+            with atomic_path(keep) as temporary:
+                temporary.write_text(json.dumps([dataclasses.asdict(row) for row in rows]))
+    return rows
+
+
+# ------------------------------------------------------------ analysis
+
+
+class Scenes:
+    """The measured trees, scene by scene."""
+
+    def __init__(self, rows: list[Row]) -> None:
+        rows_of = {row.scene: [r for r in rows if r.scene == row.scene] for row in rows}
+        most = max(map(len, rows_of.values()), default=0)
+        #: Only scenes of which all trees are measured.
+        self.rows = {name: trees for name, trees in rows_of.items() if len(trees) == most}
+        self.names = list(self.rows)
+
+    def deviation(self, kernel: str) -> list[F64]:
+        """Logarithm of SIMD over scalar cost, less the scene's mean: an array per scene."""
+        return [_centred([row.costs[kernel] / row.scalar for row in self.rows[name]])
+                for name in self.names]  # fmt: skip
+
+    def quantity(self, name: str) -> list[F64]:
+        """Logarithm of a quantity, less the scene's mean."""
+        return [_centred([row.quantities[name] for row in self.rows[scene]])
+                for scene in self.names]  # fmt: skip
+
+    def equation(self, name: str) -> list[F64]:
+        """Logarithm of a product of quantities to powers, less the scene's mean."""
+        terms = [[power * x for x in self.quantity(quantity)]
+                 for quantity, power in EQUATIONS[name].items()]  # fmt: skip
+        return [np.sum(scene, axis=0) for scene in zip(*terms, strict=True)]
+
+
+def _centred(values: list[float]) -> F64:
+    logarithms = np.log(values)
+    return logarithms - logarithms.mean()
+
+
+def pooled_r(x: list[F64], y: list[F64]) -> float:
+    """Pearson's r over all trees of all scenes."""
+    return float(np.corrcoef(np.concatenate(x), np.concatenate(y))[0, 1])
+
+
+def explained(x: list[F64], y: list[F64], fitted: bool = True) -> F64:
+    """(scenes, 2): squares of the deviation that are left, and all.
+
+    A scene's deviation is predicted by the quantity times a slope: that of the other scenes, or 1.
+    """
+    slopes = [slope([x], y, i)[0] if fitted else 1.0 for i in range(len(x))]
+    return np.array([(((v - b * u) ** 2).sum(), (v**2).sum())
+                     for u, v, b in zip(x, y, slopes, strict=True)])  # fmt: skip
+
+
+def slope(columns: list[list[F64]], y: list[F64], without: int) -> F64:
+    """Slopes of some quantities together, by least squares over all scenes but one."""
+    others = [j for j in range(len(y)) if j != without]
+    xs = np.stack([np.concatenate([x[j] for j in others]) for x in columns], axis=1)
+    return np.linalg.lstsq(xs, np.concatenate([y[j] for j in others]), rcond=None)[0]
+
+
+def together(columns: list[list[F64]], y: list[F64]) -> list[F64]:
+    """Deviation that some quantities predict, each scene with the slopes of the others."""
+    return [np.stack([x[i] for x in columns], axis=1) @ slope(columns, y, i) for i in range(len(y))]
+
+
+def share(squares: F64) -> float:
+    """Share of the squared deviation that is explained."""
+    left, all_of_it = squares.sum(axis=0)
+    return float(1 - left / all_of_it)
+
+
+def interval(values: list[float]) -> str:
+    """The middle 95% of bootstrapped values."""
+    low, high = np.percentile(values, [2.5, 97.5])
+    return f"{low:+.2f} to {high:+.2f}"
+
+
+def resampled(count: int) -> npt.NDArray[np.int64]:
+    """Scenes drawn with replacement, many times."""
+    return np.random.default_rng(0).integers(0, count, (_RESAMPLED, count))
+
+
+# ------------------------------------------------------------ tables
+
+
+def table(headings: list[str], lines: list[list[str]]) -> None:
+    """Print a Markdown table."""
+    print("\n| " + " | ".join(headings) + " |")
+    print("|---|" + "---:|" * (len(headings) - 1))
+    for line in lines:
+        print("| " + " | ".join(line) + " |")
+
+
+def deviations(scenes: Scenes) -> None:
+    """How far SIMD cost is from scalar, scene by scene."""
+    print("\n## Deviation of SIMD from scalar cost\n")
+    print("Mean / largest |log(SIMD / scalar) - the scene's mean| over the trees, per cent.")
+    lines = []
+    for i, name in enumerate(scenes.names):
+        cells = [name]
+        for kernel in KERNELS:
+            d = 100 * np.abs(scenes.deviation(kernel)[i])
+            cells.append(f"{d.mean():.1f} / {d.max():.1f}")
+        lines.append(cells)
+    means = ["**mean**"]
+    for kernel in KERNELS:
+        every = [100 * np.abs(values) for values in scenes.deviation(kernel)]
+        mean, largest = (np.mean([f(v) for v in every]) for f in (np.mean, np.max))
+        means.append(f"{mean:.1f} / {largest:.1f}")
+    table(["scene", *KERNELS], [*lines, means])
+
+
+def by_builder(scenes: Scenes) -> None:
+    """Mean over the scenes, builder by builder."""
+    print("\n## Builders\n")
+    print("Mean over the scenes: deviation in per cent; LCV and others as shares of lbvh's.")
+    builders = [row.builder for row in scenes.rows[scenes.names[0]]]
+    lines = []
+    for k, builder in enumerate(builders):
+        rows = [scenes.rows[name] for name in scenes.names]
+        cells = [builder]
+        for kernel in KERNELS:
+            cells.append(f"{100 * np.mean([d[k] for d in scenes.deviation(kernel)]):+.1f}")
+        lbvh = builders.index("lbvh")
+        for quantity in ("lcv", "lcv_mean", "cost_cv", "rounds_fetch"):
+            ratios = [r[k].quantities[quantity] / r[lbvh].quantities[quantity] for r in rows]
+            cells.append(f"{np.exp(np.mean(np.log(ratios))):.2f}")
+        lowest = sum(r[k].lcv == min(row.lcv for row in r) for r in rows)
+        cells.append(str(lowest))
+        lines.append(cells)
+    table(["builder", *KERNELS, "LCV", "LCV / mean", "cost std / mean", "rounds, fetching",
+           "scenes with lowest LCV"], lines)  # fmt: skip
+
+
+def explanations(scenes: Scenes) -> None:
+    """Which quantity explains the deviation of which kernel."""
+    for kernel in KERNELS:
+        y = scenes.deviation(kernel)
+        lines = []
+        for name, heading in QUANTITIES.items():
+            x = scenes.quantity(name)
+            raw = explained(x, y, fitted=False) if name in ESTIMATES else None
+            lines.append([heading, *_judged(scenes, y, x, explained(x, y), raw)])
+        both = together([scenes.quantity("cost_cv"), scenes.quantity("lcv")], y)
+        held = explained(both, y, fitted=False)
+        lines.append(["std of cost / mean, and LCV", *_judged(scenes, y, both, held, None)])
+        for name in EQUATIONS:
+            x = scenes.equation(name)
+            raw = explained(x, y, fitted=False)
+            lines.append([name, *_judged(scenes, y, x, None, raw)])
+        print(f"\n## What explains the deviation of `{kernel}`")
+        table(["quantity", "r pooled", "95% over scenes", "explained, held out",
+               "explained, nothing fitted", "more than LCV held out, 95%"], lines)  # fmt: skip
+
+
+def _judged(
+    scenes: Scenes, y: list[F64], x: list[F64], held: F64 | None, raw: F64 | None
+) -> list[str]:
+    """Cells of a quantity: r, what it explains, and how much more that is than LCV explains."""
+    lcv = explained(scenes.quantity("lcv"), y)
+    best = raw if held is None else held
+    draws = resampled(len(y))
+    rs = [pooled_r([x[i] for i in draw], [y[i] for i in draw]) for draw in draws]
+    gains = [] if best is None else [share(best[draw]) - share(lcv[draw]) for draw in draws]
+    shares = ["" if squares is None else f"{share(squares):.2f}" for squares in (held, raw)]
+    return [f"{pooled_r(x, y):.2f}", interval(rs), *shares, interval(gains)]
+
+
+def predictions(scenes: Scenes) -> None:
+    """How well SAH, EPO and a quantity predict scalar and SIMD cost."""
+    for kernel in KERNELS:
+        factors = {"": [np.zeros(len(rows)) for rows in scenes.rows.values()]}
+        y = scenes.deviation(kernel)
+        for quantity in ("lcv", "lcv_mean", "cost_cv", "rounds_fetch", "rounds_wait"):
+            x = scenes.quantity(quantity)
+            factors[f" x ({QUANTITIES[quantity]})^b, b of the others"] = together([x], y)
+        for name in EQUATIONS:
+            factors[f" x {name}"] = scenes.equation(name)
+        found: dict[str, list[float]] = {}
+        for i, name in enumerate(scenes.names):
+            for key, value in _correlations(
+                scenes.rows[name], kernel, {key: np.exp(f[i]) for key, f in factors.items()}
+            ).items():
+                found.setdefault(key, []).append(value)
+        print(f"\n## r with the cost of `{kernel}`")
+        lines = [[key, f"{np.mean(v):.3f}", f"{np.min(v):.3f}"] for key, v in found.items()]
+        table(["predictor", "mean r", "least"], lines)
+
+
+def _correlations(rows: list[Row], kernel: str, factors: dict[str, F64]) -> dict[str, float]:
+    """Correlations over the trees of a scene, predictor by predictor."""
+    from mibvh.metrics.predictor import fit_alpha, fitted_combination, pearson, predict
+
+    sah, epo, lcv, scalar = (
+        np.array([getattr(row, name) for row in rows]) for name in ("sah", "epo", "lcv", "scalar")
+    )
+    simd = np.array([row.costs[kernel] for row in rows])
+    found = {
+        "scalar: SAH + EPO": pearson(predict(sah, epo, fit_alpha(sah, epo, scalar)), scalar),
+        "SIMD: SAH + EPO + LCV, all weights fitted": pearson(
+            fitted_combination([sah, epo, lcv], simd), simd
+        ),
+    }
+    for key, factor in factors.items():
+        alpha = fit_alpha(sah, epo, simd / factor)
+        found[f"SIMD: (SAH + EPO){key}"] = pearson(predict(sah, epo, alpha) * factor, simd)
+    for key, factor in factors.items():
+        found[f"SIMD: scalar cost{key}"] = pearson(scalar * factor, simd)
+    return found
+
+
+def widths(scenes: Scenes) -> None:
+    """Deviation and utilisation against width."""
+    print("\n## Width\n\nBuilders over width: mean deviation in per cent / mean utilisation.")
+    builders = [row.builder for row in scenes.rows[scenes.names[0]]]
+    lines = []
+    for k, builder in enumerate(builders):
+        cells = [builder]
+        for width in WIDTHS:
+            kernel = f"persistent {width}"
+            d = 100 * np.mean([values[k] for values in scenes.deviation(kernel)])
+            busy = np.mean([scenes.rows[name][k].utilisation[kernel] for name in scenes.names])
+            cells.append(f"{d:+.1f} / {busy:.2f}")
+        lines.append(cells)
+    table(["builder", *map(str, WIDTHS)], lines)
+
+
+def draw(scenes: Scenes, path: Path) -> None:
+    """Deviation and utilisation against width, a curve per builder."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), constrained_layout=True)
+    builders = [row.builder for row in scenes.rows[scenes.names[0]]]
+    for k, builder in enumerate(builders):
+        kernels = [f"persistent {width}" for width in WIDTHS]
+        d = [100 * np.mean([v[k] for v in scenes.deviation(kernel)]) for kernel in kernels]
+        busy = [np.mean([scenes.rows[name][k].utilisation[kernel] for name in scenes.names])
+                for kernel in kernels]  # fmt: skip
+        style = "-" if builder in ("bbvh", "sbvh") else "--"
+        axes[0].plot(WIDTHS, d, style, marker="o", markersize=3, label=builder)
+        axes[1].plot(WIDTHS, busy, style, marker="o", markersize=3)
+    for axis, label in zip(axes, ["deviation from scalar cost, %", "utilisation"], strict=True):
+        axis.set_xscale("log", base=2)
+        axis.set_xticks(WIDTHS, [str(width) for width in WIDTHS])
+        axis.set_xlabel("lanes of a warp")
+        axis.set_ylabel(label)
+        axis.spines[["top", "right"]].set_visible(False)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False)
+    figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+
+
+def main() -> None:
+    """Measure, and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", nargs="*")
+    parser.add_argument("--keep", type=Path, default=Path("simd.json"), help="measured so far")
+    parser.add_argument("--trees", type=Path, help="folder of trees and rays made before")
+    parser.add_argument("--width", type=int, default=160, help="pixels per viewpoint, across")
+    parser.add_argument("--figure", type=Path, help="where to draw the curves over width")
+    arguments = parser.parse_args()
+    rows = measure_all(arguments.scenes, arguments.keep, arguments.trees, arguments.width)
+    scenes = Scenes(rows)
+    if not scenes.names:
+        raise SystemExit(f"nothing is measured in {arguments.keep}: name scenes")
+    print(f"{len(scenes.names)} scenes, {sum(map(len, scenes.rows.values()))} trees")
+    deviations(scenes)
+    by_builder(scenes)
+    if len(scenes.names) > 1:
+        explanations(scenes)
+        predictions(scenes)
+    widths(scenes)
+    if arguments.figure:
+        draw(scenes, arguments.figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,207 @@
+"""Any binary tree in arrays, renumbered to ours without changing a box, a leaf or a reference."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mibvh._jit import njit
+from mibvh.errors import MibvhError
+from mibvh.tree import Tree
+
+I64 = npt.NDArray[np.int64]
+
+#: What :func:`_renumber` may find, by the number that it returns.
+_FAULTS = {
+    1: "node {node} has the children {left} and {right}, which are not among the {nodes} nodes",
+    2: "node {node} is reached twice: it is the child of two nodes, or its own ancestor",
+    3: "leaf {node} has no references (count = {count})",
+    4: "leaf {node} has the references from {first}, {count} of them, and there are {references}",
+    5: "the leaves have more references than there are: some share theirs (seen at leaf {node})",
+}
+
+
+def from_arrays(
+    lower: Any,
+    upper: Any,
+    left: Any,
+    right: Any = None,
+    first: Any = None,
+    count: Any = None,
+    references: Any = None,
+    *,
+    root: int | None = None,
+    name: str = "imported",
+) -> Tree:
+    """Make a tree; see :meth:`mibvh.Tree.from_arrays`."""
+    left = _integers("left", left)
+    nodes = len(left)
+    if nodes == 0:
+        raise MibvhError("there are no nodes")
+    right = left + 1 if right is None else _integers("right", right, nodes)
+    leaf, first, count = _leaves(left, first, count, nodes)
+    ids = _ids(references, leaf, first, count)
+    lower, upper = _box("lower", lower, nodes, -np.inf), _box("upper", upper, nodes, np.inf)
+    left = np.where(leaf, -1, left)
+    start = _root(left, right, nodes) if root is None else int(root)
+    if not 0 <= start < nodes:
+        raise MibvhError(f"the root, {start}, is not among the {nodes} nodes")
+    fault, n, order, child, starts, counts, taken = _renumber(
+        left, right, first, count, len(ids), start
+    )
+    if fault:
+        raise MibvhError(_FAULTS[fault].format(
+            node=n, left=left[n], right=right[n], nodes=nodes, first=first[n], count=count[n],
+            references=len(ids),
+        ))  # fmt: skip
+    found = ids[taken]
+    meta = {"builder": name, "options": {}, "c_inner": 1.2, "c_tri": 1.0, "report": {}}
+    if triangles := _dense(found):
+        meta["triangles"] = triangles
+    tree = Tree(lower[order], upper[order], child, starts, counts, found, meta)
+    tree.check()
+    return tree
+
+
+def to_arrays(tree: Tree) -> dict[str, npt.NDArray[Any]]:
+    """Arrays of a tree; see :meth:`mibvh.Tree.to_arrays`."""
+    tree.check()
+    return {
+        "lower": tree.lower,
+        "upper": tree.upper,
+        "left": tree.left,
+        "right": np.where(tree.is_leaf, -1, tree.left + 1).astype(np.int32),
+        "first": tree.first,
+        "count": tree.count,
+        "references": tree.references,
+    }
+
+
+def _integers(name: str, values: Any, length: int | None = None) -> I64:
+    """One column as int64; unsigned numbers beyond the half are the negative ones of their bits."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "iu" or array.ndim != 1:
+        raise MibvhError(f"{name} is {array.dtype} {array.shape}, not a row of whole numbers")
+    if length is not None and len(array) != length:
+        raise MibvhError(f"{name} has {len(array)} numbers for {length} nodes")
+    if array.dtype.kind == "u":
+        array = array.view(np.dtype(f"{array.dtype.byteorder}i{array.dtype.itemsize}"))
+    return array.astype(np.int64)
+
+
+def _box(name: str, values: Any, nodes: int, away: float) -> npt.NDArray[np.float32]:
+    """Corners as float32; those of wider types are rounded outwards."""
+    array = np.asarray(values)
+    if array.dtype.kind != "f" or array.shape != (nodes, 3):
+        raise MibvhError(f"{name} is {array.dtype} {array.shape}, not {nodes} corners of 3 numbers")
+    with np.errstate(all="ignore"):  # what is not finite is refused later
+        rounded = array.astype(np.float32)
+        inside = rounded > array if away < 0 else rounded < array
+        return np.where(inside, np.nextafter(rounded, np.float32(away)), rounded)
+
+
+def _leaves(left: I64, first: Any, count: Any, nodes: int) -> tuple[Any, I64, I64]:
+    """Which nodes are leaves, and their ranges, by the ways that these are told in."""
+    negative = left < 0
+    if count is None and first is not None:
+        raise MibvhError("first needs count")
+    if count is None:
+        return negative, ~left, np.ones(nodes, np.int64)
+    count = _integers("count", count, nodes)
+    if first is not None:
+        return negative, _integers("first", first, nodes), count
+    if negative.any():
+        return negative, ~left, count
+    return count > 0, left, count
+
+
+def _ids(references: Any, leaf: Any, first: I64, count: I64) -> npt.NDArray[np.int32]:
+    """Triangle ids that the ranges are in; by default the places themselves."""
+    if references is None:
+        end = int((first[leaf] + count[leaf]).max(initial=0))
+        if end > count[leaf].sum():
+            raise MibvhError(f"the leaves' ranges reach to {end}, beyond the references they have")
+        return np.arange(end, dtype=np.int32)
+    ids = _integers("references", references)
+    if len(ids) and not (ids.min() >= 0 and ids.max() < 2**31):
+        raise MibvhError("a reference is negative, or does not fit into 31 bits")
+    return ids.astype(np.int32)
+
+
+def _root(left: I64, right: I64, nodes: int) -> int:
+    """Node 0, or, where that is somebody's child, the one node that is nobody's."""
+    inner = np.flatnonzero(left >= 0)
+    children = np.concatenate([left[inner], right[inner]])
+    named = np.zeros(nodes, bool)
+    named[children[(children >= 0) & (children < nodes)]] = True
+    if not named[0]:
+        return 0
+    free = np.flatnonzero(~named)
+    if len(free) != 1:
+        raise MibvhError(
+            f"node 0 is somebody's child, {len(free)} nodes are nobody's: root= must name the root"
+        )
+    return int(free[0])
+
+
+def _dense(ids: npt.NDArray[np.int32]) -> int | None:
+    """How many triangles there are, if each of them has a reference."""
+    largest = int(ids.max(initial=-1)) + 1
+    if largest > len(ids):
+        return None
+    return largest if len(np.unique(ids)) == largest else None
+
+
+@njit
+def _renumber(left, right, first, count, references, root):
+    """Order the nodes: parents first, siblings side by side, left subtrees before right ones.
+
+    Returns a fault and its node, the old number of each node, the new first child or -1, ranges
+    of whole subtrees, and where each reference stood.
+    """
+    nodes = len(left)
+    order = np.empty(nodes, np.int64)
+    child, starts, counts = np.full((3, nodes), -1, np.int32)
+    taken = np.empty(references, np.int64)
+    seen = np.zeros(nodes, np.bool_)
+    stack = np.empty(nodes + 1, np.int64)
+    order[0], stack[0], top, used, written, fault, at = root, 0, 1, 1, 0, 0, 0
+    seen[root] = True
+    while top > 0 and fault == 0:
+        top -= 1
+        place = stack[top]
+        n = at = order[place]
+        if left[n] < 0:
+            if count[n] < 1:
+                fault = 3
+            elif first[n] < 0 or count[n] > references or first[n] + count[n] > references:
+                fault = 4
+            elif written + count[n] > references:
+                fault = 5
+            else:
+                starts[place], counts[place] = written, count[n]
+                for i in range(count[n]):
+                    taken[written + i] = first[n] + i
+                written += count[n]
+            continue
+        a, b = left[n], right[n]
+        if a >= nodes or b < 0 or b >= nodes:
+            fault = 1
+        elif a == b or seen[a] or seen[b]:
+            fault, at = 2, a if seen[a] or a == b else b
+        else:
+            seen[a] = seen[b] = True
+            order[used], order[used + 1], child[place] = a, b, used
+            stack[top], stack[top + 1] = used + 1, used
+            used, top = used + 2, top + 2
+    if fault == 0:
+        for place in range(used - 1, -1, -1):
+            c = child[place]
+            if c >= 0:
+                starts[place], counts[place] = starts[c], counts[c] + counts[c + 1]
+    return (
+        fault, at, order[:used], child[:used].copy(), starts[:used].copy(), counts[:used].copy(),
+        taken[:written],
+    )  # fmt: skip

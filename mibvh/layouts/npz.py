@@ -1,0 +1,15 @@
+"""Our own files, which :meth:`mibvh.Tree.save` writes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class Own:
+    """Read and written by the tree itself."""
+
+    summary: str
+
+
+LAYOUT = Own("mibvh's own .npz")

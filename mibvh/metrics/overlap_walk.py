@@ -1,0 +1,230 @@
+"""The walk of the exact EPO: triangle by triangle through the nodes that are foreign to it.
+
+A triangle's own nodes are the paths from the root to its references. They share a trunk, from
+the root down to the *junction*, the last node that has all of its references below it; a triangle
+with one reference has a trunk only, and its leaf is the junction. Foreign subtrees hang off both.
+
+- Off the trunk: the siblings that touch a node's box are passed down from node to node, so that
+  the trunk is gone once for all references below a node, and few of its siblings are left at the
+  junction. The junction's box holds the whole triangle.
+- Off the paths below the junction: these are walked for each triangle, which is clipped on its
+  way down to what lies in its own node. What a triangle has in a foreign node there need not lie
+  near any one of its leaves.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mibvh._jit import njit
+from mibvh.metrics.clip import Polygons, clip, measure, put_triangle, room, touches
+
+
+class Nodes(NamedTuple):
+    """A tree's arrays as the walk reads them: ``box`` is (6 M,): each lower and upper corner."""
+
+    box: Any
+    left: Any
+    first: Any
+    count: Any
+
+
+class Work(NamedTuple):
+    """What one thread writes on.
+
+    Attributes
+    ----------
+    polygons : Polygons
+        Rows 0 and 1 are for the whole triangle, or the part of it in its leaf. Each level below
+        the trunk has two more, ``2 * level + 2`` and the next: siblings share them, as a node
+        is clipped when it is popped, after its sibling's subtree is done with.
+    holder : (levels,) int64
+        The row of the polygon inside the node that is at a level now; where it is all of its
+        parent's, that is the parent's row.
+    stack, stack_level : int64
+        Foreign nodes to visit.
+    own : (., 4) int64
+        Own nodes to visit: node, level, and which of the triangle's positions lie below it.
+    alone : (1,) int32
+        A list of one node.
+    path : (., 4) int32
+        Nodes to visit on the way to the block's leaves: node, depth, and where those siblings
+        of it and of its ancestors are listed that touch it.
+    at : (., 3) int32
+        The node that is at a depth now, and where its siblings are listed.
+    siblings : int32
+        The lists.
+    """
+
+    polygons: Polygons
+    holder: Any
+    stack: Any
+    stack_level: Any
+    own: Any
+    alone: Any
+    path: Any
+    at: Any
+    siblings: Any
+
+
+def workspace(depth: int) -> Work:
+    """Return what one thread writes on, for a tree of a depth."""
+    size = 2 * depth + 4
+    i32, i64 = np.int32, np.int64
+    return Work(
+        polygons=room(2 * depth + 6),
+        holder=np.zeros(depth + 2, i64),
+        stack=np.zeros(size, i64),
+        stack_level=np.zeros(size, i64),
+        own=np.zeros((size, 4), i64),
+        alone=np.zeros(1, i32),
+        path=np.zeros((size, 4), i32),
+        at=np.zeros((depth + 2, 3), i32),
+        siblings=np.zeros((depth + 2) ** 2, i32),
+    )
+
+
+@njit(inline="always")
+def _foreign(nodes, subtrees, low, high, row, base, weight, work, sums):
+    """Add the areas of the polygon in a row inside ``subtrees[low:high]`` and all below them.
+
+    ``base`` is the level of these subtrees. Returns the pairs, boxes and clips it took.
+    """
+    polygons, holder, stack, stack_level = work.polygons, work.holder, work.stack, work.stack_level
+    box, left = nodes.box, nodes.left
+    pairs = visits = clips = 0
+    for s in range(low, high):
+        visits += 1
+        if not touches(polygons.limits, row, box, subtrees[s]):
+            continue
+        stack[0], stack_level[0], top = subtrees[s], base, 1
+        while top > 0:
+            top -= 1
+            node, level = stack[top], stack_level[top]
+            h = row if level == base else holder[level - 1]
+            inside, n = clip(polygons, h, box, node, 2 * level + 2)
+            if inside != h:
+                clips += 1
+                if n < 3 or measure(polygons, inside, n) == 0.0:
+                    continue
+            sums[node] += np.int64(polygons.area[inside] * weight + 0.5)
+            pairs += 1
+            if left[node] < 0:
+                continue
+            holder[level] = inside
+            for child in range(left[node], left[node] + 2):
+                visits += 1
+                if touches(polygons.limits, inside, box, child):
+                    stack[top], stack_level[top] = child, level + 1
+                    top += 1
+    return pairs, visits, clips
+
+
+@njit(allocates=False)
+def _below(nodes, junction, positions, begin, end, row, weight, work, sums):
+    """Add the areas of a triangle's polygon in the foreign nodes below its junction.
+
+    Its references are at ``positions[begin:end]``, ascending. Returns pairs, boxes and clips.
+    """
+    polygons, holder, own, alone = work.polygons, work.holder, work.own, work.alone
+    box, left, first = nodes.box, nodes.left, nodes.first
+    pairs = visits = clips = 0
+    own[0, 0], own[0, 1], own[0, 2], own[0, 3], top = junction, 0, begin, end, 1
+    while top > 0:
+        top -= 1
+        node, level, low, high = own[top, 0], own[top, 1], own[top, 2], own[top, 3]
+        h = row
+        if level > 0:
+            h = holder[level - 1]
+            inside, n = clip(polygons, h, box, node, 2 * level + 2)
+            if inside != h:
+                clips += 1
+                if n < 3 or measure(polygons, inside, n) == 0.0:
+                    continue
+            h = inside
+        holder[level] = h
+        middle = low
+        while middle < high and positions[middle] < first[left[node] + 1]:
+            middle += 1
+        for c in range(2):
+            child = left[node] + c
+            some, end_of_some = (low, middle) if c == 0 else (middle, high)
+            visits += 1
+            if some < end_of_some:
+                if left[child] >= 0:
+                    own[top, 0], own[top, 1] = child, level + 1
+                    own[top, 2], own[top, 3] = some, end_of_some
+                    top += 1
+            elif touches(polygons.limits, h, box, child):
+                alone[0] = child
+                more = _foreign(nodes, alone, 0, 1, h, level + 1, weight, work, sums)
+                pairs, visits, clips = pairs + more[0], visits + more[1], clips + more[2]
+    return pairs, visits, clips
+
+
+@njit(allocates=False)
+def walk(
+    begin, end, walked, cut_to_leaf, corners, weights, starts, positions, references, nodes,
+    unit, work, sums,
+):  # fmt: skip
+    """Add the foreign areas of the references ``begin`` to ``end`` to ``sums`` (M,) int64.
+
+    ``walked`` says which references stand for their triangle, the first of each; with
+    ``cut_to_leaf`` every one stands for the part of its triangle in its leaf's box.
+    """
+    polygons, limits = work.polygons, work.polygons.limits
+    box, left, first, count = nodes.box, nodes.left, nodes.first, nodes.count
+    path, at, siblings = work.path, work.at, work.siblings
+    pairs = visits = clips = 0
+    path[0, 0], path[0, 1], path[0, 2], path[0, 3], top = 0, 0, 0, 0, 1
+    while top > 0:
+        top -= 1
+        node, level, low, high = path[top, 0], path[top, 1], path[top, 2], path[top, 3]
+        if first[node] >= end or first[node] + count[node] <= begin:
+            continue
+        at[level, 0], at[level, 1], at[level, 2] = node, low, high
+        if left[node] >= 0:
+            # -- pass on the siblings that touch each child, and the other child; the lists of both
+            # are written now, one behind the other, and stay until the children are done with
+            for c in range(2):
+                child, other = left[node] + c, left[node] + 1 - c
+                place = high if c == 0 else path[top - 1, 3]
+                path[top, 0], path[top, 1], path[top, 2] = child, level + 1, place
+                for k in range(6):
+                    limits[k] = box[6 * child + k]
+                for i in range(low, high + 1):
+                    sibling = siblings[i] if i < high else other
+                    visits += 1
+                    if touches(limits, 0, box, sibling):
+                        siblings[place] = sibling
+                        place += 1
+                path[top, 3] = place
+                top += 1
+            continue
+        for position in range(max(begin, first[node]), min(end, first[node] + count[node])):
+            t = references[position]
+            if not walked[position] or weights[t] == 0.0:
+                continue
+            row = np.int64(0)
+            if put_triangle(polygons, 0, corners, t) == 0.0:
+                continue
+            if cut_to_leaf:
+                row, n = clip(polygons, 0, box, node, 0)
+                if n < 3 or measure(polygons, row, n) == 0.0:
+                    continue
+            item = position if cut_to_leaf else t
+            start, stop = starts[item], starts[item + 1]
+            up = level
+            while first[at[up, 0]] > positions[start] or (
+                positions[stop - 1] >= first[at[up, 0]] + count[at[up, 0]]
+            ):
+                up -= 1
+            weight = weights[t] * unit
+            found = _foreign(nodes, siblings, at[up, 1], at[up, 2], row, 0, weight, work, sums)
+            pairs, visits, clips = pairs + found[0], visits + found[1], clips + found[2]
+            if up < level:
+                found = _below(nodes, at[up, 0], positions, start, stop, row, weight, work, sums)
+                pairs, visits, clips = pairs + found[0], visits + found[1], clips + found[2]
+    return pairs, visits, clips

@@ -1,0 +1,150 @@
+"""The registry of predictors: each is an object that fits its weights and predicts.
+
+A new predictor is one file beside this one with its :class:`Predictor` objects in ``PREDICTORS``,
+and one line in :data:`_BUNDLED`; a user's own is passed to :func:`add_predictor`. Correlations,
+rotation and sensitivity tables, the report's glossary and the table in the documentation follow.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from mibvh.errors import MibvhError
+
+F64 = npt.NDArray[np.float64]
+#: What was fitted: a number by name, such as ``{"alpha": 0.71}``.
+Weights = Mapping[str, float]
+#: What is known of a scene's trees: by the name of a quantity, (K,) float64.
+Values = Mapping[str, F64]
+
+_NONE = float("nan")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sample:
+    """A scene's trees: what is known of them, and what was measured.
+
+    Samples are compared by identity, so that what is fitted to one can be cached.
+
+    Attributes
+    ----------
+    values : mapping of str to (K,) float64
+        Quantities by name.
+    measured : (K,) float64
+        What is to be predicted, up to a line.
+    """
+
+    values: Values
+    measured: F64
+
+
+def no_weights(samples: Sequence[Sample], this: int) -> Weights:
+    """Fit nothing."""
+    return {}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Predictor:
+    """A predictor of the cost of trees.
+
+    Attributes
+    ----------
+    name : str
+        As in tables.
+    formula : str
+        What it is, for the glossary.
+    free : str
+        Its free parameters, such as ``1 per scene``; ``0`` where nothing is fitted.
+    needs : tuple of str
+        Quantities that ``predict`` takes.
+    fit : callable
+        ``fit(samples, this)`` returns the weights for the scene ``samples[this]``; the other
+        scenes are there for weights that scenes share.
+    predict : callable
+        ``predict(values, weights)`` returns (K,) float64.
+    linear : tuple of str
+        Quantities of which it is a linear combination with free weights: its trees can be
+        predicted from a fit to the others.
+    headline : str
+        Its title among those a reader asks for first; empty for the others.
+    rotated : str
+        Its heading in the tables of the rotation experiment, with weights fitted to counted cost
+        and averaged over the scenes; empty where it is left out.
+    varied : str
+        Its heading in the tables of the sensitivity experiment; empty where it is left out.
+    """
+
+    name: str
+    formula: str
+    free: str
+    needs: tuple[str, ...]
+    predict: Callable[[Values, Weights], F64]
+    fit: Callable[[Sequence[Sample], int], Weights] = no_weights
+    linear: tuple[str, ...] = ()
+    headline: str = ""
+    rotated: str = ""
+    varied: str = ""
+
+    @property
+    def key(self) -> str:
+        """Its name as a column of a DataFrame."""
+        return self.name.lower().replace(" ", "_")
+
+    def __call__(self, samples: Sequence[Sample], this: int = 0) -> tuple[Weights, F64]:
+        """Fit and predict a scene's trees. Returns the weights and (K,) float64."""
+        weights = self.fit(samples, this)
+        return weights, self.predict(samples[this].values, weights)
+
+    def knows(self, values: Values) -> bool:
+        """Whether all quantities that it needs are there."""
+        return all(name in values for name in self.needs)
+
+
+#: Modules with ``PREDICTORS``, in the order of the tables.
+_BUNDLED = (
+    "mibvh.metrics.predictors.paper",
+    "mibvh.metrics.predictors.ends",
+    "mibvh.metrics.predictors.variability",
+)
+_added: dict[str, Predictor] = {}
+
+
+def add_predictor(predictor: Predictor) -> Predictor:
+    """Register a predictor: every study judges and shows it from here on."""
+    _added[predictor.name] = predictor
+    return predictor
+
+
+def predictors() -> tuple[Predictor, ...]:
+    """Return all predictors: the bundled ones, then the user's own in the order of addition."""
+    bundled = (p for name in _BUNDLED for p in importlib.import_module(name).PREDICTORS)
+    return (*bundled, *_added.values())
+
+
+def predictor(name: str) -> Predictor:
+    """Return the predictor of that name.
+
+    Raises
+    ------
+    MibvhError
+        If there is none.
+    """
+    known = {p.name: p for p in predictors()}
+    if name not in known:
+        raise MibvhError(f"there is no predictor {name!r}; there are: {', '.join(known)}")
+    return known[name]
+
+
+def glossary() -> dict[str, str]:
+    """Return what each predictor is, by name."""
+    return {p.name: p.formula for p in predictors()}
+
+
+def alpha_of(weights: Weights) -> float:
+    """Weight of EPO among fitted weights; NaN where there is none."""
+    return float(weights.get("alpha", _NONE))

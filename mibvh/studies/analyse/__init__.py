@@ -1,0 +1,1 @@
+"""What the measurements say: how well each predictor explains each of them."""

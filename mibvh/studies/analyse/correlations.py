@@ -1,0 +1,138 @@
+"""How well each predictor explains each measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from mibvh.metrics.predictor import agreement, bootstrap_interval, held_out, pearson
+from mibvh.metrics.predictors import Predictor, Sample, alpha_of, predictor, predictors
+from mibvh.metrics.registry import Quantity
+from mibvh.studies.record.quantities import targets
+from mibvh.studies.record.scene import Records, samples
+from mibvh.triangles import F64
+
+_NONE = float("nan")
+
+
+class LaneMode(NamedTuple):
+    """A lane mode: its key, and how it is written."""
+
+    key: str
+    title: str
+
+    @property
+    def ns(self) -> str:
+        """Quantity of its time."""
+        return f"{self.key}_ns"
+
+    @property
+    def error(self) -> str:
+        """Quantity of its time's relative standard error."""
+        return f"{self.key}_error"
+
+
+SCALAR, SIMD = LaneMode("scalar", "scalar"), LaneMode("simd", "SIMD")
+LANES = (SCALAR, SIMD)
+
+
+def worst_error(records: Records, quantity: str) -> float:
+    """Largest relative standard error of a time, such as ``scalar_error``."""
+    return max(float(record.column(quantity).max()) for record in records)
+
+
+def correlations(records: Records) -> pd.DataFrame:
+    """Agreement of each predictor with each measurement, per scene.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``scene, measurement, predictor, alpha``, those of
+        :func:`mibvh.metrics.predictor.agreement`, ``held_out`` (Pearson r of trees predicted from
+        a fit to the other trees, for predictors with free weights), and ``low, high`` (95%
+        bootstrap interval of r over the rays, for counted cost).
+    """
+    rows = [row for target in targets() for row in _of_target(records, target)]
+    return pd.DataFrame(rows)
+
+
+def _of_target(records: Records, target: Quantity) -> Iterator[dict[str, float | str]]:
+    known = samples(records, target.name)
+    for i, (record, sample) in enumerate(zip(records, known, strict=True)):
+        groups = np.array([tree.cost_groups for tree in record.trees])
+        for one in predictors():
+            if not one.knows(sample.values):
+                continue
+            weights, values = one(known, i)
+            low = high = _NONE
+            if target.name == "counted_cost":
+                low, high = bootstrap_interval(values, groups)
+            yield {
+                "scene": record.scene,
+                "measurement": target.name,
+                "predictor": one.name,
+                "alpha": alpha_of(weights),
+                **agreement(values, sample.measured),
+                "held_out": _held_out(one, sample),
+                "low": low,
+                "high": high,
+            }
+
+
+def _held_out(one: Predictor, sample: Sample) -> float:
+    """Pearson r of trees predicted from a fit to the others."""
+    if not one.linear:
+        return _NONE
+    predicted = held_out([sample.values[name] for name in one.linear], sample.measured)
+    return pearson(predicted, sample.measured) if np.isfinite(predicted).all() else _NONE
+
+
+def predicted(name: str, sample: Sample) -> tuple[float, F64]:
+    """Alpha (NaN where there is none) and values that a predictor has for one scene's trees."""
+    weights, values = predictor(name)([sample])
+    return alpha_of(weights), values
+
+
+def overview(table: pd.DataFrame) -> pd.DataFrame:
+    """Mean, minimum and maximum over the scenes of Pearson's r, as in the paper's tables.
+
+    Returns
+    -------
+    DataFrame
+        Index ``(measurement, predictor)``; columns ``mean, min, max, scenes``, and
+        ``worst_error``: the largest misprediction of any tree, as a share.
+    """
+    groups = table.groupby(["measurement", "predictor"], sort=False)
+    found = groups["pearson"].agg(["mean", "min", "max", "count"])
+    found["worst_error"] = groups["worst_error"].max()
+    return found.rename(columns={"count": "scenes"})
+
+
+def shared_weights(records: Records) -> pd.DataFrame:
+    """Weights that are fitted to several scenes at once.
+
+    Returns
+    -------
+    DataFrame
+        Per measurement ``measurement, alpha`` (of greatest mean r), ``beta`` (weight of LCV of
+        greatest mean r, alpha being fitted to each scene), ``beta_low`` and ``beta_high`` (its
+        range where one scene is left out).
+    """
+    rows = []
+    for target in targets():
+        known = samples(records, target.name)
+        others = predictor("LCV from others")
+        without = pd.Series([others.fit(known, i)["beta"] for i in range(len(known))])
+        rows.append(
+            {
+                "measurement": target.heading,
+                "alpha": predictor("fixed best").fit(known, 0)["alpha"],
+                "beta": predictor("LCV fixed").fit(known, 0)["beta"],
+                "beta_low": without.min(),
+                "beta_high": without.max(),
+            }
+        )
+    return pd.DataFrame(rows)

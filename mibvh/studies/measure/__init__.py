@@ -1,0 +1,1 @@
+"""What is measured of a scene: rays, trees, what they cost and how long they take."""

@@ -1,0 +1,203 @@
+"""What rays cost in a tree, counted: no stopwatch, no noise."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from mibvh.metrics.lines import RayLines, line_costs, ray_lines, sah_of_lines
+from mibvh.metrics.points import RayEnds, point_costs, ray_hits, ray_starts
+from mibvh.metrics.predictor import path_length_ratio
+from mibvh.rays import RaySet
+from mibvh.scene import Scene
+from mibvh.studies.record.scene import OriginCost
+from mibvh.traversal.records import make_records, unit_scale
+from mibvh.traversal.trace import Hits, Tracer
+from mibvh.tree import Tree
+from mibvh.triangles import F64, Triangles
+
+#: Groups of rays over which a tree's mean cost is kept, for the bootstrap.
+_RAY_GROUPS = 64
+#: Rays whose lines are followed through a tree: some microseconds each, for an error of 1%.
+LINES = 10_000
+#: What a traversal counts, as it is.
+_COUNTERS = (
+    "inner_per_ray",
+    "leaves_per_ray",
+    "triangles_per_ray",
+    "lcv",
+    "inner_deviation",
+    "steps_deviation",
+    "lane_utilisation",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Counts:
+    """What was counted of the rays of a scene in one tree; see :class:`TreeRow`."""
+
+    values: dict[str, float]
+    cost_groups: list[float]
+    costs_by_origin: list[OriginCost]
+    leaf_distribution: list[int]
+
+
+class RayCounter:
+    """The rays of a scene, to be counted in any number of its trees.
+
+    What does not depend on the tree is prepared when it is first needed and cached: a study that
+    goes on from its store needs none of it.
+
+    Parameters
+    ----------
+    scene : Scene
+    rays : RaySet
+    cull : bool
+        Re-test popped nodes.
+    """
+
+    def __init__(self, scene: Scene, rays: RaySet, cull: bool) -> None:
+        self.triangles, self.rays, self.cull = scene.triangles, rays, cull
+        self._paths: RayPaths | None = None
+
+    @functools.cached_property
+    def tracer(self) -> Tracer:
+        """The rays in Dr.Jit's memory."""
+        return Tracer(self.rays, float(unit_scale(self.triangles)), cull=self.cull)
+
+    @functools.cached_property
+    def starts(self) -> RayEnds:
+        """Where the rays begin."""
+        return ray_starts(self.triangles, self.rays)
+
+    def paths(self, hits: Hits) -> RayPaths:
+        """Where the rays go; computed anew only where a tree's hits are not those of the last.
+
+        Trees agree on hits but for ties: rays that meet two triangles at one distance.
+        """
+        if self._paths is None or not self._paths.are_of(hits):
+            self._paths = RayPaths.of(self.triangles, self.rays, hits)
+        return self._paths
+
+    def __call__(self, tree: Tree) -> Counts:
+        """Count the rays in a tree, its point queries at their ends, and their lines."""
+        hits = self.tracer.hits(make_records(tree, self.triangles))
+        c_inner, c_tri = tree.meta["c_inner"], tree.meta["c_tri"]
+        costs = c_inner * hits.inner + c_tri * hits.tests
+        group = np.arange(len(self.rays)) % _RAY_GROUPS
+        sums = np.bincount(group, costs, _RAY_GROUPS)
+        size = np.maximum(np.bincount(group, minlength=_RAY_GROUPS), 1)
+        counters = hits.counters()
+        values = {name: counters[name] for name in _COUNTERS}
+        values["counted_cost"] = hits.counted_cost(c_inner, c_tri)
+        return Counts(
+            values={**values, **self._ends(tree, hits), **self._lines(tree, hits)},
+            cost_groups=(sums / size).tolist(),
+            costs_by_origin=costs_by_origin(self.rays, costs),
+            leaf_distribution=np.bincount(hits.leaves).tolist(),
+        )
+
+    def _ends(self, tree: Tree, hits: Hits) -> dict[str, float]:
+        """Point queries at the rays' starts and ends."""
+        starts, ends = self.starts, self.paths(hits).ends
+        at_starts = point_costs(tree, self.triangles, starts.points, starts.triangle)
+        at_ends = point_costs(tree, self.triangles, ends.points, ends.triangle)
+        return {
+            "epo_starts": float(at_starts[:, 0].mean()),
+            "epo_starts_error": _standard_error(at_starts[:, 0]),
+            "epo_ends": float(at_ends[:, 0].mean()) if len(ends) else 0.0,
+            "point_query": float(at_starts.sum(axis=1).mean()),
+            "hit_share": ends.share,
+        }
+
+    def _lines(self, tree: Tree, hits: Hits) -> dict[str, float]:
+        """SAH on the rays' own lines, and how long the rays are."""
+        paths = self.paths(hits)
+        # None in a flat scene: no ray has a part inside its box.
+        inside = np.count_nonzero(paths.lines.share)
+        of_lines = sah_of_lines(tree, paths.lines) if inside > 1 else None
+        return {
+            "sah_lines": of_lines.value if of_lines else float("nan"),
+            "sah_lines_error": of_lines.standard_error if of_lines else float("nan"),
+            "line_share": float(paths.lines.share.mean()),
+            "touched": float(line_costs(tree, paths.lines, whole=False).mean()),
+            "length_ratio": paths.length_ratio,
+        }
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RayPaths:
+    """Where the rays of a set go, by the hits in some tree.
+
+    Attributes
+    ----------
+    hits : Hits
+    ends : RayEnds
+        Of those that hit something.
+    lines : RayLines
+        Of some of the rays.
+    length_ratio : float
+        See :func:`mibvh.metrics.predictor.path_length_ratio`.
+    """
+
+    hits: Hits
+    ends: RayEnds
+    lines: RayLines
+    length_ratio: float
+
+    @classmethod
+    def of(cls, triangles: Triangles, rays: RaySet, hits: Hits) -> RayPaths:
+        """Compute them from the hits."""
+        return cls(
+            hits,
+            ray_hits(triangles, rays, hits),
+            ray_lines(triangles, rays, hits, LINES),
+            path_length_ratio(triangles, rays, hits),
+        )
+
+    def are_of(self, hits: Hits) -> bool:
+        """Whether other hits lead to the same paths."""
+        return np.array_equal(self.hits.t, hits.t) and np.array_equal(
+            self.hits.triangle, hits.triangle
+        )
+
+
+def costs_by_origin(rays: RaySet, costs: F64) -> list[OriginCost]:
+    """Mean cost of the rays of each bounce and viewpoint.
+
+    Parameters
+    ----------
+    rays : RaySet
+    costs : (R,) float64
+
+    Returns
+    -------
+    list of OriginCost
+        One for each pair of bounce and viewpoint that has rays.
+    """
+    bounce, viewpoint = rays.bounce.astype(np.int64), rays.viewpoint.astype(np.int64)
+    group = bounce * (viewpoint.max(initial=0) + 1) + viewpoint
+    count, sums = np.bincount(group), np.bincount(group, costs)
+    _, first = np.unique(group, return_index=True)
+    return [
+        OriginCost(
+            bounce=int(bounce[i]),
+            viewpoint=int(viewpoint[i]),
+            rays=int(count[group[i]]),
+            cost=float(sums[group[i]] / count[group[i]]),
+        )
+        for i in first
+    ]
+
+
+def counted_costs(tracer: Tracer, tree: Tree, triangles: Triangles) -> F64:
+    """(R,) float64: what each ray costs by the counters; nothing is timed."""
+    outputs, _ = tracer.run(make_records(tree, triangles), count=True)
+    inner, tests = (tracer.fetch(outputs[i]).astype(np.float64) for i in (2, 4))
+    return np.asarray(tree.meta["c_inner"] * inner + tree.meta["c_tri"] * tests)
+
+
+def _standard_error(values: F64) -> float:
+    return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else float("nan")

@@ -1,0 +1,144 @@
+"""The rotation experiment: a scene and its rays rotated 45 degrees about (1, 1, 1).
+
+The paper's additional test (slides, "Rotated scenes"): boxes fit worse, so every cost grows, but
+that of rays that begin and end in the scene grows more than SAH says. The stored rays are rotated
+with the triangles, so both frames trace the same paths; all trees are built anew.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+from mibvh.rays import RaySet
+from mibvh.scene import Scene
+from mibvh.studies.measure.counts import RayCounter
+from mibvh.studies.measure.pieces import kept
+from mibvh.studies.measure.setting import Setting
+from mibvh.studies.measure.store import key_of
+from mibvh.studies.measure.times import (
+    TreeTimes,
+    launch_of,
+    portions,
+    run_stopwatch,
+    timed_rays,
+)
+from mibvh.studies.measure.trees import TreeSource, study_tree
+from mibvh.studies.record.options import StudyOptions
+from mibvh.studies.record.progress import Reporter
+from mibvh.studies.record.scene import Result, Timing, TreeRow
+from mibvh.traversal.records import make_records, unit_scale
+from mibvh.traversal.trace import Tracer
+from mibvh.tree import Tree
+from mibvh.triangles import rotation_about
+
+AXIS = (1.0, 1.0, 1.0)
+DEGREES = 45.0
+
+
+@dataclasses.dataclass(frozen=True)
+class RotationResult(Result, experiment="rotation"):
+    """A scene's trees in the rotated frame.
+
+    Attributes
+    ----------
+    axis : tuple of float
+    degrees : float
+    digest : str
+        Hash of the rotated triangles.
+    same_hits : float
+        Share of the rays that hit the same triangle in both frames.
+    trees : list of TreeRow
+        Without SIMD times, and with ``scalar_ns_before``: the time of the tree of the given
+        frame in the same rounds of the stopwatch.
+    timing : Timing
+    """
+
+    axis: tuple[float, ...]
+    degrees: float
+    digest: str
+    same_hits: float
+    trees: list[TreeRow]
+    timing: Timing
+
+
+@dataclasses.dataclass(frozen=True)
+class _Frame:
+    """A scene in one orientation."""
+
+    scene: Scene
+    rays: RaySet
+    trees: list[Tree]
+
+
+@dataclasses.dataclass(frozen=True)
+class _SameHits:
+    share: float
+
+
+def rotated(scene: Scene, rays: RaySet) -> tuple[Scene, RaySet]:
+    """Rotate a scene's triangles and its rays alike."""
+    matrix = rotation_about(AXIS, DEGREES)
+    triangles = dataclasses.replace(scene.triangles.rotated(matrix), name=scene.name)
+    moved = rays.rotated(matrix, triangles)
+    return dataclasses.replace(scene, triangles=triangles), moved
+
+
+def rotation_experiment(setting: Setting, report: Reporter) -> RotationResult:
+    """Build, judge, count and time the trees of the rotated scene."""
+    options, store = setting.options, setting.store
+    scene, rays = rotated(setting.scene, setting.rays)
+    rays_key = key_of(rays=setting.rays_key, axis=AXIS, degrees=DEGREES)
+    counter = RayCounter(scene, rays, options.cull)
+    share = 0.6 / len(options.builders)
+    trees: dict[str, Tree] = {}
+    rows: list[TreeRow] = []
+    for i, name in enumerate(options.builders):
+        source, part = TreeSource.parse(name), report.part(share * i, share, name)
+        key, tree, row = study_tree(source, scene, counter, rays_key, store, part)
+        trees[key] = tree
+        rows.append(row)
+    before = _Frame(setting.scene, setting.rays, list(setting.trees.values()))
+    after = _Frame(scene, rays, list(trees.values()))
+    keys = {"before": list(setting.trees), "after": list(trees), "rays": setting.rays_key}
+    times_key = key_of(
+        **keys, machine=setting.machine, options=options.stopwatch("scalar"), format=2
+    )
+    make_times = functools.partial(_times_of_both, before, after, options, report.part(0.6, 0.4))
+    found = kept(store, f"rotation-{times_key}", TreeTimes, make_times)
+    same = kept(store, f"same-{key_of(**keys)}", _SameHits, lambda: _same_hits(before, after))
+    count = len(rows)
+    timed = zip(rows, found.ns[:count], found.ns[count:], found.error[count:], strict=True)
+    return RotationResult(
+        axis=AXIS,
+        degrees=DEGREES,
+        digest=scene.triangles.digest,
+        same_hits=same.share,
+        trees=[
+            row.with_values(scalar_ns_before=old, scalar_ns=new, scalar_error=error)
+            for row, old, new, error in timed
+        ],
+        timing=found.timing,
+    )
+
+
+def _times_of_both(
+    before: _Frame, after: _Frame, options: StudyOptions, report: Reporter
+) -> TreeTimes:
+    """Time the trees of both frames in the same rounds, so that drift cancels in the factors."""
+    launches = []
+    for frame in (before, after):
+        some = timed_rays(frame.rays, "scalar", options)
+        tracers = portions(some, frame.scene, "scalar", options)
+        launches += [launch_of(tracers, tree, frame.scene) for tree in frame.trees]
+    return run_stopwatch(launches, len(tracers), len(some), options, report, "time scalar")
+
+
+def _same_hits(before: _Frame, after: _Frame) -> _SameHits:
+    """Share of the rays that hit the same triangle, or nothing, in both frames."""
+    hits = []
+    for frame in (before, after):
+        tracer = Tracer(frame.rays, float(unit_scale(frame.scene.triangles)))
+        outputs, _ = tracer.run(make_records(frame.trees[0], frame.scene.triangles))
+        hits.append(tracer.fetch(outputs[1]))
+    return _SameHits(float((hits[0] == hits[1]).mean()))

@@ -1,0 +1,164 @@
+"""A study of one scene: rays, trees, times, then the experiments that were asked for."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+from mibvh.environment import environment
+from mibvh.rays import RaySet, diffuse_rays
+from mibvh.scene import Scene
+from mibvh.studies.measure.cameras import cameras
+from mibvh.studies.measure.counts import RayCounter
+from mibvh.studies.measure.pieces import kept
+from mibvh.studies.measure.setting import Setting
+from mibvh.studies.measure.store import Store, key_of
+from mibvh.studies.measure.times import LANES, TreeTimes, times
+from mibvh.studies.measure.trees import TreeSource, study_tree
+from mibvh.studies.record.experiment import Experiment, chosen
+from mibvh.studies.record.options import StudyOptions
+from mibvh.studies.record.progress import Listener, Progress, Reporter
+from mibvh.studies.record.scene import RayFacts, SceneRecord, Timing, TreeRow
+from mibvh.tree import Tree
+from mibvh.variant import give_back_memory
+
+#: What the seconds are spent on, by the first word of the pieces' names.
+_STAGES = {
+    "rayset": "rays",
+    "tree": "trees",
+    "metrics": "metrics",
+    "counts": "counts",
+    "timing": "stopwatch",
+    "picture": "picture",
+}
+#: Name of the part that every study has.
+BASE = "prediction"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Picture:
+    png: str
+
+
+def study_scene(
+    scene: Scene, options: StudyOptions, store: Store, listener: Listener
+) -> SceneRecord:
+    """Study one scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    options : StudyOptions
+        With the builders filled in.
+    store : Store
+    listener : callable
+        Told of the progress.
+    """
+    asked = chosen(options.experiments)
+    shares = _shares(asked)
+    reporter = Reporter(listener, scene.name)
+    store.begin()
+    setting, record = _predict(scene, options, store, reporter.of("", *shares[BASE]))
+    seconds = {_STAGES[kind]: spent for kind, spent in store.spent.items()}
+    results = {}
+    for experiment in asked:
+        # The last step had the records of all trees in memory; the next needs one at a time.
+        give_back_memory()
+        store.begin()
+        part = reporter.of(experiment.name, *shares[experiment.name])
+        if experiment.measure is not None:
+            results[experiment.name] = experiment.measure(setting, part)
+        seconds[experiment.name] = sum(store.spent.values())
+    listener(Progress(scene.name, "", "done", None, 1.0))
+    return dataclasses.replace(record, results=results, seconds=seconds)
+
+
+def _predict(
+    scene: Scene, options: StudyOptions, store: Store, report: Reporter
+) -> tuple[Setting, SceneRecord]:
+    """Make the rays and the trees of a scene, count and time them."""
+    digest, machine = scene.triangles.digest, environment()
+    rays_key = key_of(digest=digest, cameras=cameras(scene), **options.rays())
+    report("rays", 0.0)
+    rays = store.array(RaySet, rays_key, functools.partial(diffuse_rays, scene, **options.rays()))
+    counter = RayCounter(scene, rays, options.cull)
+    trees: dict[str, Tree] = {}
+    rows: list[TreeRow] = []
+    share = 0.5 / len(options.builders)
+    for i, name in enumerate(options.builders):
+        part = report.part(0.02 + share * i, share, name)
+        source = TreeSource.parse(name)
+        key, tree, row = study_tree(source, scene, counter, rays_key, store, part)
+        trees[key] = tree
+        rows.append(row)
+    setting = Setting(scene, rays, rays_key, trees, options, machine, store)
+    rows, timing = _time(setting, rows, report)
+    picture = functools.partial(_picture, scene)
+    # Parameters of the scene, which are in its name, may change but its materials.
+    look = key_of(rays=rays_key, scene=scene.name)
+    return setting, SceneRecord(
+        scene=scene.name,
+        triangles=len(scene.triangles),
+        digest=digest,
+        notes=list(scene.notes),
+        rays=RayFacts(
+            count=len(rays),
+            digest=rays.digest,
+            viewpoints=rays.meta["viewpoints"],
+            seed=rays.meta["seed"],
+            meta=rays.meta,
+        ),
+        timing=timing,
+        trees=rows,
+        options=options,
+        environment=machine,
+        picture=kept(store, f"picture-{look}", _Picture, picture).png,
+        seconds={},
+    )
+
+
+def _time(
+    setting: Setting, rows: list[TreeRow], report: Reporter
+) -> tuple[list[TreeRow], dict[str, Timing]]:
+    """Time the trees in each lane mode. Returns the rows with times, and how they were timed."""
+    options, trees = setting.options, list(setting.trees.values())
+    timing: dict[str, Timing] = {}
+    for i, lanes in enumerate(LANES):
+        key = key_of(
+            trees=list(setting.trees),
+            rays=setting.rays_key,
+            lanes=lanes,
+            machine=setting.machine,
+            options=options.stopwatch(lanes),
+            format=2,
+        )
+        part = report.part(0.55 + 0.2 * i, 0.2)
+        make = functools.partial(times, trees, setting.scene, setting.rays, lanes, options, part)
+        found = kept(setting.store, f"timing-{key}", TreeTimes, make)
+        rows = [
+            row.with_values(**{f"{lanes}_ns": ns, f"{lanes}_error": error})
+            for row, ns, error in zip(rows, found.ns, found.error, strict=True)
+        ]
+        timing[lanes] = found.timing
+    return rows, timing
+
+
+def _shares(asked: Sequence[Experiment]) -> dict[str, tuple[float, float]]:
+    """Where in the progress of a scene each experiment begins, and its share.
+
+    They end short of 1, which says that the scene is done.
+    """
+    weights = {BASE: 1.0} | {experiment.name: experiment.weight for experiment in asked}
+    total, begin, shares = 1.01 * sum(weights.values()), 0.0, {}
+    for name, weight in weights.items():
+        shares[name] = (begin / total, weight / total)
+        begin += weight
+    return shares
+
+
+def _picture(scene: Scene) -> _Picture:
+    from mibvh.picture import picture, png
+
+    return _Picture(base64.b64encode(png(picture(scene))).decode())

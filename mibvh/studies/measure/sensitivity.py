@@ -1,0 +1,161 @@
+"""Sensitivity: other leaf sizes, deeper bounces, fewer viewpoints.
+
+Everything here is by counted cost, which has no noise, so that small changes of r can be seen.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+from mibvh.builders import Context, get
+from mibvh.builders.finish import finish
+from mibvh.metrics.epo import epo
+from mibvh.metrics.sah import sah
+from mibvh.rays import RaySet, diffuse_rays
+from mibvh.scene import Scene
+from mibvh.studies.measure.cameras import cameras
+from mibvh.studies.measure.counts import costs_by_origin, counted_costs
+from mibvh.studies.measure.pieces import kept
+from mibvh.studies.measure.setting import Setting
+from mibvh.studies.measure.store import key_of
+from mibvh.studies.measure.trees import TreeSource
+from mibvh.studies.record.progress import Reporter
+from mibvh.studies.record.scene import OriginCost, Result
+from mibvh.traversal.records import unit_scale
+from mibvh.traversal.trace import Tracer
+from mibvh.tree import Tree
+
+#: Largest leaves that are tried.
+LEAF_SIZES = (1, 2, 4, 8, 16)
+#: Bounces that are tried, each a set of its own.
+BOUNCES = 3
+#: Rays that trees of other leaf sizes are counted on, at most.
+_LEAF_RAYS = 262_144
+
+
+@dataclasses.dataclass(frozen=True)
+class LeafSize:
+    """A tree whose leaves were collapsed up to another size.
+
+    Attributes
+    ----------
+    max_leaf : int
+    rays : int
+        How many it was counted on.
+    values : dict of str to float
+        ``sah, epo, counted_cost, mean_leaf_size``.
+    """
+
+    max_leaf: int
+    rays: int
+    values: dict[str, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class SensitivityResult(Result, experiment="sensitivity"):
+    """What other choices cost, tree by tree.
+
+    Attributes
+    ----------
+    leaf_sizes : list of list of LeafSize
+        Of each tree one per size.
+    bounces : list of list of OriginCost
+        Of each tree the costs of the rays that are deeper than the scene's ray set.
+    """
+
+    leaf_sizes: list[list[LeafSize]]
+    bounces: list[list[OriginCost]]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Sizes:
+    sizes: list[LeafSize]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Costs:
+    costs: list[OriginCost]
+
+
+def sensitivity_experiment(setting: Setting, report: Reporter) -> SensitivityResult:
+    """Count what other leaf sizes and deeper bounces cost."""
+    options, trees = setting.options, setting.trees
+    share = 0.7 / len(trees)
+    leaf_sizes = []
+    for i, (name, key) in enumerate(zip(options.builders, trees, strict=True)):
+        report.part(share * i, share, name)("leaf sizes", 0.0)
+        piece = key_of(
+            tree=key,
+            rays=setting.rays_key,
+            cull=options.cull,
+            sizes=LEAF_SIZES,
+            most=_LEAF_RAYS,
+            format=2,
+        )
+        make = functools.partial(
+            _leaf_sizes, TreeSource.parse(name), setting.scene, setting.rays, options.cull
+        )
+        leaf_sizes.append(kept(setting.store, f"leaves-{piece}", _Sizes, make).sizes)
+    return SensitivityResult(leaf_sizes, _bounces(setting, report.part(0.7, 0.3)))
+
+
+def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _Sizes:
+    """Finish one builder's draft with each leaf size, and judge and count the trees."""
+    triangles, entry = scene.triangles, get(source.builder)
+    options = entry.options()
+    draft = entry.draft(triangles, options, Context())
+    some = rays.select(slice(None, None, -(-len(rays) // _LEAF_RAYS)))
+    tracer = Tracer(some, float(unit_scale(triangles)), cull=cull)
+    costs = {"c_inner": options.c_inner, "c_tri": options.c_tri}
+    meta = {"triangles": len(triangles), "digest": triangles.digest, **costs}
+    sizes = []
+    for size in LEAF_SIZES:
+        tree = finish(draft, **costs, max_leaf=size, meta=meta)
+        values = {
+            "sah": sah(tree),
+            "epo": epo(tree, triangles),
+            "counted_cost": float(counted_costs(tracer, tree, triangles).mean()),
+            "mean_leaf_size": tree.stats()["mean_leaf_size"],
+        }
+        sizes.append(LeafSize(size, len(some), values))
+    return _Sizes(sizes)
+
+
+def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:
+    """Costs of the rays that are deeper than those of the scene's own ray set."""
+    scene, trees, options = setting.scene, setting.trees, setting.options
+    choices = {**options.rays(), "bounces": max(BOUNCES, options.bounces)}
+    key = key_of(digest=scene.triangles.digest, cameras=cameras(scene), deeper=True, **choices)
+
+    def deeper() -> RaySet:
+        rays = diffuse_rays(scene, **choices)
+        return rays.select(rays.bounce > options.bounces)
+
+    report("rays", 0.0)
+    rays = setting.store.array(RaySet, key, deeper)
+    if len(rays) == 0:
+        return [[] for _ in trees]
+    counter = _LazyTracer(scene, rays, options.cull)
+    costs = []
+    for i, (name, (tree_key, tree)) in enumerate(zip(options.builders, trees.items(), strict=True)):
+        report.part(0.2 + 0.8 * i / len(trees), 0.8 / len(trees), name)("count", 0.0)
+        piece = f"deeper-{key_of(tree=tree_key, rays=key, cull=options.cull)}"
+        make = functools.partial(counter.count, tree)
+        costs.append(kept(setting.store, piece, _Costs, make).costs)
+    return costs
+
+
+class _LazyTracer:
+    """Rays that go to Dr.Jit's memory when a tree is first counted."""
+
+    def __init__(self, scene: Scene, rays: RaySet, cull: bool) -> None:
+        self._scene, self._rays, self._cull = scene, rays, cull
+
+    @functools.cached_property
+    def _tracer(self) -> Tracer:
+        return Tracer(self._rays, float(unit_scale(self._scene.triangles)), cull=self._cull)
+
+    def count(self, tree: Tree) -> _Costs:
+        costs = counted_costs(self._tracer, tree, self._scene.triangles)
+        return _Costs(costs_by_origin(self._rays, costs))

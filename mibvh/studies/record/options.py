@@ -1,0 +1,90 @@
+"""What a study does, and the two ready-made sets of choices."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from mibvh.errors import MibvhError
+from mibvh.ranges import check
+
+#: The registered experiments, and what each adds; see :mod:`mibvh.studies.record.experiment`.
+EXPERIMENTS: dict[str, str] = {}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class StudyOptions:
+    """Choices of a study.
+
+    Attributes
+    ----------
+    builders : tuple of str
+        Empty for all that are registered.
+    experiments : tuple of str
+        From :data:`EXPERIMENTS`; ``("all",)`` for all of them.
+    width, height, samples, bounces, viewpoints, seed
+        As for :func:`mibvh.diffuse_rays`; ``viewpoints`` 0 means all of a scene.
+    scalar_rays : int
+        Largest number of rays timed with one lane per packet: every k-th ray of the set.
+    seconds : float
+        Time budget for the stopwatch, per scene and lane mode.
+    standard_error : float
+        Relative standard error of a tree's time at which measuring stops.
+    cull : bool
+        Re-test popped nodes; off as in the paper.
+    """
+
+    builders: tuple[str, ...] = ()
+    experiments: tuple[str, ...] = ("prediction", "depth")
+    width: int = 160
+    height: int = 120
+    samples: int = 1
+    bounces: int = 1
+    viewpoints: int = 0
+    seed: int = 0
+    scalar_rays: int = 32768
+    seconds: float = 2.0
+    standard_error: float = 0.005
+    cull: bool = False
+
+    def __post_init__(self) -> None:
+        numbers = ("width", "height", "samples", "bounces", "scalar_rays", "seed", "seconds",
+                   "standard_error")  # fmt: skip
+        check(**{name: getattr(self, name) for name in numbers})
+        if self.viewpoints != 0:  # all of a scene
+            check(viewpoints=self.viewpoints)
+        for name in ("builders", "experiments"):
+            if isinstance(given := getattr(self, name), str):
+                raise MibvhError(f"{name} takes a tuple of names, such as ({given!r},), not a text")
+            object.__setattr__(self, name, tuple(given))
+        if self.experiments == ("all",):
+            object.__setattr__(self, "experiments", tuple(EXPERIMENTS))
+        if unknown := sorted(set(self.experiments) - set(EXPERIMENTS)):
+            raise MibvhError(
+                f"there is no experiment {unknown[0]!r}; there are: {', '.join(EXPERIMENTS)}"
+            )
+
+    def rays(self) -> dict[str, Any]:
+        """Arguments for :func:`mibvh.diffuse_rays`."""
+        names = ("width", "height", "samples", "bounces", "seed")
+        return {"viewpoints": self.viewpoints or None, **{n: getattr(self, n) for n in names}}
+
+    def stopwatch(self, lanes: str) -> dict[str, Any]:
+        """What times depend on, besides the trees, the rays and the machine."""
+        names = ("seconds", "standard_error", "cull")
+        chosen = (*names, *(("scalar_rays",) if lanes == "scalar" else ()))
+        return {"by": "portions", **{n: getattr(self, n) for n in chosen}}
+
+
+#: ``quick`` for a first look and for tests, ``paper`` for figures to be cited.
+PROFILES: dict[str, dict[str, Any]] = {
+    "quick": {},
+    "paper": {
+        "width": 320,
+        "height": 240,
+        "samples": 4,
+        "scalar_rays": 131072,
+        "seconds": 45.0,
+        "experiments": ("all",),
+    },
+}

@@ -1,0 +1,228 @@
+"""What a study knows of a scene, as typed records.
+
+Numbers of a tree stand in :attr:`TreeRow.values` under the names of the quantities that are
+declared in :mod:`mibvh.studies.record.quantities`; all else has a field of its own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Sequence
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+
+from mibvh.errors import MibvhError
+from mibvh.metrics.predictors import Sample
+from mibvh.studies.record.options import StudyOptions
+from mibvh.studies.record.serialise import from_json, to_json
+from mibvh.triangles import F64
+
+#: To be raised with every change of the fields below.
+FORMAT = 7
+
+
+@dataclasses.dataclass(frozen=True)
+class OriginCost:
+    """Mean counted cost of the rays of one bounce from one viewpoint."""
+
+    bounce: int
+    viewpoint: int
+    rays: int
+    cost: float
+
+
+@dataclasses.dataclass(frozen=True)
+class TreeRow:
+    """A tree of a scene, and what was found of it.
+
+    Attributes
+    ----------
+    builder : str
+        What the tree is called in tables.
+    options : dict
+        The builder's, seeds included.
+    values : dict of str to float
+        By the names of quantities.
+    sah_by_depth, epo_by_depth : list of float
+        Cost of the nodes at each depth.
+    cost_groups : list of float
+        Mean counted cost over each of some random groups of rays, for the bootstrap.
+    costs_by_origin : list of OriginCost
+    leaf_distribution : list of int
+        How many rays visited 0, 1, 2, ... leaves.
+    build_report : dict
+        What the builder said of its work.
+    """
+
+    builder: str
+    options: dict[str, Any]
+    values: dict[str, float]
+    sah_by_depth: list[float]
+    epo_by_depth: list[float]
+    cost_groups: list[float]
+    costs_by_origin: list[OriginCost]
+    leaf_distribution: list[int]
+    build_report: dict[str, Any]
+
+    def __getitem__(self, name: str) -> float:
+        return self.values[name]
+
+    def with_values(self, **values: float) -> TreeRow:
+        """Return the row with more quantities."""
+        return dataclasses.replace(self, values={**self.values, **values})
+
+
+@dataclasses.dataclass(frozen=True)
+class Timing:
+    """How the trees of a scene were timed in one lane mode.
+
+    Attributes
+    ----------
+    rounds : int
+        In which every tree was timed once.
+    complete : bool
+        Whether the error asked for was reached before the time ran out.
+    rays, portions : int
+        How many rays were timed, and in how many portions.
+    repeat_difference : float
+        By how much the first tree, timed twice under two names, differed from itself; NaN where
+        no tree was.
+    """
+
+    rounds: int
+    complete: bool
+    rays: int
+    portions: int
+    repeat_difference: float = float("nan")
+
+
+@dataclasses.dataclass(frozen=True)
+class RayFacts:
+    """A scene's ray set: how many rays, their hash, how they were made."""
+
+    count: int
+    digest: str
+    viewpoints: int
+    seed: int
+    meta: dict[str, Any]
+
+
+class Result:
+    """What an experiment found of a scene; a dataclass per experiment inherits from this.
+
+    >>> class Twice(Result, experiment="twice"):
+    ...     pass
+    >>> Result.kinds.pop("twice").experiment
+    'twice'
+    """
+
+    #: The experiment that it is of.
+    experiment: ClassVar[str]
+    #: All of them, by the name of the experiment.
+    kinds: ClassVar[dict[str, type[Result]]] = {}
+
+    def __init_subclass__(cls, *, experiment: str) -> None:
+        cls.experiment = experiment
+        Result.kinds[experiment] = cls
+
+
+R = TypeVar("R", bound=Result)
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneRecord:
+    """All that a study knows of a scene.
+
+    Attributes
+    ----------
+    scene : str
+        Its name.
+    triangles : int
+    digest : str
+        Hash of the triangles.
+    notes : list of str
+        What a reader has to know, in sentences.
+    rays : RayFacts
+    timing : dict of str to Timing
+        By lane mode, ``scalar`` and ``simd``.
+    trees : list of TreeRow
+    options : StudyOptions
+    environment : dict
+        What it was measured on; see :func:`mibvh.environment.environment`.
+    picture : str
+        PNG, base64-encoded.
+    seconds : dict of str to float
+        What each stage took, in the runs that its pieces were made in.
+    results : dict of str to Result
+        Of the experiments beside prediction that were run, by name.
+    """
+
+    scene: str
+    triangles: int
+    digest: str
+    notes: list[str]
+    rays: RayFacts
+    timing: dict[str, Timing]
+    trees: list[TreeRow]
+    options: StudyOptions
+    environment: dict[str, Any]
+    picture: str
+    seconds: dict[str, float]
+    results: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> Any:
+        """Return a field or an experiment's result by name, as when records were dicts."""
+        warnings.warn(
+            f'record["{name}"] is deprecated: a scene\'s record has fields, such as record.trees',
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return self.results[name] if name in self.results else getattr(self, name)
+
+    def column(self, name: str) -> F64:
+        """(K,) float64: a quantity of each tree."""
+        return np.array([tree[name] for tree in self.trees], dtype=np.float64)
+
+    def splits_triangles(self, tree: TreeRow) -> bool:
+        """Whether a tree enters some triangle more than once."""
+        return tree["references"] > self.triangles
+
+    def result(self, kind: type[R]) -> R | None:
+        """Return what an experiment found, or None if it was not run."""
+        return self.results.get(kind.experiment)
+
+    def sample(self, target: str) -> Sample:
+        """Return what is known of the trees, and the quantity that is to be predicted."""
+        names = set.intersection(*(set(tree.values) for tree in self.trees))
+        return Sample({name: self.column(name) for name in names}, self.column(target))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the record as JSON-able values."""
+        return dict(to_json(self))
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> SceneRecord:
+        """Read what :meth:`to_json` returned.
+
+        Raises
+        ------
+        MibvhError
+            If it is of another version of mibvh.
+        """
+        read = dict(data)
+        found = read.pop("results", {})
+        if unknown := sorted(set(found) - set(Result.kinds)):
+            raise MibvhError(f"there is no experiment {unknown[0]!r}, but a study holds one")
+        plain = from_json(cls, {**read, "results": {}})
+        results = {name: from_json(Result.kinds[name], of) for name, of in found.items()}
+        return dataclasses.replace(plain, results=results)
+
+
+Records = Sequence[SceneRecord]
+
+
+def samples(records: Records, target: str) -> list[Sample]:
+    """Return the samples of all scenes; see :meth:`SceneRecord.sample`."""
+    return [record.sample(target) for record in records]

@@ -1,0 +1,72 @@
+"""Dataclasses to and from JSON: the one way in which records are written and read."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import types
+import typing
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from mibvh.errors import MibvhError
+
+T = TypeVar("T")
+
+
+def to_json(value: Any) -> Any:
+    """Turn dataclasses, and containers of them, into what :mod:`json` writes."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: to_json(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): to_json(of) for key, of in value.items()}
+    if isinstance(value, list | tuple):
+        return [to_json(of) for of in value]
+    return value
+
+
+def from_json(kind: type[T], data: Any) -> T:
+    """Turn what :func:`to_json` returned back into a dataclass.
+
+    Parameters
+    ----------
+    kind : type
+        A dataclass whose fields are numbers, text, other dataclasses, and lists, tuples and
+        dicts of these.
+    data
+        As read by :mod:`json`.
+
+    Raises
+    ------
+    MibvhError
+        If a field is missing or there is one too many.
+    """
+    return typing.cast(T, _read(kind, data))
+
+
+def _read(kind: Any, data: Any) -> Any:
+    if dataclasses.is_dataclass(kind):
+        return _read_dataclass(typing.cast(type, kind), data)
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (types.UnionType, typing.Union):
+        return None if data is None else _read(next(i for i in inner if i is not type(None)), data)
+    if origin is tuple:
+        return tuple(_read(inner[0], of) for of in data)
+    if origin is list:
+        return [_read(inner[0], of) for of in data]
+    if origin is dict:
+        return {key: _read(inner[1], of) for key, of in data.items()}
+    return data  # a number (integers stay integers), text, or what has no type of its own
+
+
+def _read_dataclass(kind: type, data: Any) -> Any:
+    fields = _types(kind)
+    if not isinstance(data, dict) or set(data) != set(fields):
+        raise MibvhError(f"this is no {kind.__name__} of this version of mibvh")
+    return kind(**{name: _read(of, data[name]) for name, of in fields.items()})
+
+
+@functools.cache
+def _types(kind: type) -> dict[str, Any]:
+    hints = typing.get_type_hints(kind)
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}

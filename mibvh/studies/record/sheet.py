@@ -1,0 +1,192 @@
+"""A table for people: the one form from which the report, Markdown, LaTeX and CSV are written."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from mibvh.metrics.registry import Quantity
+
+#: Rows that a page shows unfolded.
+_LONG = 15
+#: What stands where there is no value.
+_NONE = "–"
+#: What LaTeX takes for commands, and letters and signs that it does not know by themselves.
+_LATEX = str.maketrans({
+    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+    **{sign: "\\" + sign for sign in "&%$#_{}"},
+    "α": r"$\alpha$", "β": r"$\beta$", "σ": r"$\sigma$", "−": "$-$", "±": r"$\pm$",
+    "–": "--", "×": r"$\times$", "≥": r"$\geq$", "≤": r"$\leq$", "√": r"$\surd$", "²": "$^2$",
+    "°": r"$^\circ$", "∞": r"$\infty$",
+})  # fmt: skip
+
+
+class Cell(NamedTuple):
+    """A value as it is read: its text, what it sorts by, its error, whether it is the best."""
+
+    text: str
+    sort: float | str
+    error: str
+    best: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """A column of a table for people.
+
+    Attributes
+    ----------
+    key : str
+        Of the values in the frame.
+    heading : str
+        The key itself if it is empty.
+    format : str
+        How its numbers are written, such as ``.3f``; text stays as it is.
+    help : str
+        What it is, in a few words.
+    error : str
+        Key of the relative error that is shown behind its values; that key has no column of its
+        own in the table, but one in the file of its values.
+    smaller_is_better : bool
+        Whether the smallest value is marked as the best.
+    """
+
+    key: str
+    heading: str = ""
+    format: str = "g"
+    help: str = ""
+    error: str = ""
+    smaller_is_better: bool = False
+
+    @property
+    def head(self) -> str:
+        """What stands above it."""
+        return self.heading or self.key
+
+    @classmethod
+    def of(cls, quantity: Quantity, error: bool = False) -> Column:
+        """Return the column of a quantity, with its error behind it if that is asked for."""
+        return cls(
+            key=quantity.name,
+            heading=quantity.heading,
+            format=quantity.format,
+            help=quantity.help,
+            error=quantity.error if error else "",
+            smaller_is_better=quantity.smaller_is_better,
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Sheet:
+    """A table for people.
+
+    Attributes
+    ----------
+    name : str
+        Of its files; no spaces.
+    section : str
+        Heading under which it stands; sheets of a section follow each other.
+    title : str
+    frame : DataFrame
+        The values.
+    columns : sequence of Column
+        What is shown of the frame. The first says what a row is about.
+    note : str
+        What a reader needs to know, in a sentence or two.
+    glossary : dict of str to str
+        What words in the cells mean, such as the names of predictors.
+    unfolded : bool
+        Whether a page shows it at once however many rows it has.
+    """
+
+    name: str
+    section: str
+    title: str
+    frame: pd.DataFrame
+    columns: Sequence[Column]
+    note: str = ""
+    glossary: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    unfolded: bool = False
+
+    @property
+    def keys(self) -> list[str]:
+        """Keys of the columns."""
+        return [column.key for column in self.columns]
+
+    @property
+    def values(self) -> pd.DataFrame:
+        """The values under their headings, errors after all others: what a file holds."""
+        errors = {c.error: f"{c.head} error" for c in self.columns if c.error}
+        names = {c.key: c.head for c in self.columns} | errors
+        return self.frame[list(names)].rename(columns=names)
+
+    @property
+    def long(self) -> bool:
+        """Whether it has so many rows that a page shows it folded."""
+        return not self.unfolded and len(self.frame) > _LONG
+
+    def is_text(self, column: Column) -> bool:
+        """Whether a column holds words rather than numbers."""
+        return not pd.api.types.is_numeric_dtype(self.frame[column.key])
+
+    def rows(self) -> list[list[Cell]]:
+        """The cells, row by row."""
+        least = {c: self.frame[c.key].min() for c in self.columns if c.smaller_is_better}
+        return [
+            [_cell(column, row, least.get(column)) for column in self.columns]
+            for row in self.frame.to_dict("records")
+        ]
+
+    def markdown(self) -> str:
+        """As a Markdown table under a heading."""
+        heads = [column.head for column in self.columns]
+        marks = ["---" if self.is_text(column) else "---:" for column in self.columns]
+        lines = [heads, marks, *([cell.text for cell in row] for row in self.rows())]
+        table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
+        return "\n\n".join(part for part in (f"### {self.title}", self.note, table) if part) + "\n"
+
+    def latex(self) -> str:
+        """As a LaTeX table in the manner of the package ``booktabs``; the best values are bold."""
+        columns = "".join("l" if self.is_text(column) else "r" for column in self.columns)
+        caption = " ".join(part for part in (f"{self.title}.", self.note) if part)
+        head = " & ".join(_latex(column.head) for column in self.columns)
+        rows = [
+            " & ".join(rf"\textbf{{{_latex(c.text)}}}" if c.best else _latex(c.text) for c in row)
+            for row in self.rows()
+        ]
+        body = " \\\\\n".join(rows)
+        return (
+            "% needs \\usepackage{booktabs}\n"
+            "\\begin{table}\n\\centering\n"
+            f"\\caption{{{_latex(caption)}}}\n\\label{{tab:{self.name}}}\n"
+            f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{head} \\\\\n\\midrule\n"
+            f"{body} \\\\\n\\bottomrule\n"
+            "\\end{tabular}\n\\end{table}\n"
+        )
+
+
+def _cell(column: Column, row: dict[Any, Any], least: float | None) -> Cell:
+    value = row[column.key]
+    if isinstance(value, bool | np.bool_):
+        return Cell("yes" if value else "no", float(value), "", False)
+    if isinstance(value, str):
+        return Cell(value, value, "", False)
+    if value is None or np.isnan(value):
+        return Cell(_NONE, "", "", False)
+    if np.isinf(value):
+        return Cell("∞" if value > 0 else "−∞", float(np.nan_to_num(value)), "", False)
+    error = row[column.error] if column.error else np.nan
+    return Cell(
+        format(value, column.format),
+        float(value),
+        f"±{error:.1%}" if np.isfinite(error) else "",
+        least is not None and value == least,
+    )
+
+
+def _latex(text: str) -> str:
+    return text.translate(_LATEX)

@@ -1,0 +1,144 @@
+"""The progress of a study: bars on a terminal, lines for machines, next to nothing elsewhere."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import threading
+import time
+from typing import Any, NamedTuple
+
+from mibvh.studies.record.progress import Progress
+
+#: Seconds between two lines of the same stage.
+_EVERY = 1.0
+
+
+class Board:
+    """Shows where a study is and how long it will take.
+
+    Called as the ``progress`` of :func:`mibvh.study`, from any thread; several scenes may be
+    under way at a time.
+
+    Parameters
+    ----------
+    scenes : int
+        How many there are.
+    lines : bool
+        Whether to write a JSON object per line to standard output, for machines.
+    """
+
+    def __init__(self, scenes: int, lines: bool) -> None:
+        self._scenes = scenes
+        self._lines = lines
+        self._started = time.monotonic()
+        self._begun: dict[str, float] = {}
+        self._done: dict[str, float] = {}
+        self._last: Progress | None = None
+        self._written = 0.0
+        self._lock = threading.Lock()
+        self._bars = None if lines or not sys.stderr.isatty() else _bars(scenes)
+        self._tasks: dict[str, Any] = {}
+
+    def __enter__(self) -> Board:
+        if self._bars:
+            self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bars:
+            self._bars.stop()
+
+    def __call__(self, step: Progress) -> None:
+        """Note that a step is reached."""
+        scene, done = step.scene, step.done
+        with self._lock:
+            now = time.monotonic()
+            if scene not in self._begun or (done == 0.0 and self._done[scene] > 0.0):
+                self._begun[scene] = now  # a scene whose worker died begins again
+            self._done[scene] = done
+            left = _Left(
+                scene=_left(now - self._begun[scene], done, 1.0),
+                all=_left(now - self._started, sum(self._done.values()), self._scenes),
+            )
+            if self._lines:
+                self._write(step, left, now)
+            elif self._bars:
+                self._draw(step, left)
+            elif done == 1.0:
+                sys.stderr.write(f"{scene}: done ({self._finished} of {self._scenes})\n")
+
+    @property
+    def _finished(self) -> int:
+        return sum(done == 1.0 for done in self._done.values())
+
+    def _write(self, step: Progress, left: _Left, now: float) -> None:
+        """Write a line, unless the last one of the same stage was written a moment ago."""
+        same = self._last is not None and dataclasses.replace(step, done=self._last.done)
+        if step.done < 1.0 and same == self._last and now - self._written < _EVERY:
+            return
+        self._last, self._written = step, now
+        line = {
+            "event": "progress",
+            **dataclasses.asdict(step),
+            "done": round(step.done, 4),
+            "seconds_left": left.scene,
+            "scenes_done": self._finished,
+            "scenes": self._scenes,
+            "all_seconds_left": left.all,
+        }
+        sys.stdout.write(json.dumps(line) + "\n")
+        sys.stdout.flush()
+
+    def _draw(self, step: Progress, left: _Left) -> None:
+        bars = self._bars
+        if bars is None:
+            return
+        if step.scene not in self._tasks:
+            self._tasks[step.scene] = bars.add_task(step.scene, total=1.0, left="")
+        bars.update(
+            self._tasks[step.scene],
+            description=f"{step.scene}: {step}",
+            completed=step.done,
+            left=_clock(left.scene),
+            visible=step.done < 1.0,
+        )
+        bars.update(
+            bars.task_ids[0],
+            description=f"study: {self._finished} of {self._scenes} scenes",
+            completed=sum(self._done.values()),
+            left=_clock(left.all),
+        )
+
+
+class _Left(NamedTuple):
+    """Seconds left, of the scene and of the study; None where there is no pace yet."""
+
+    scene: float | None
+    all: float | None
+
+
+def _left(spent: float, done: float, total: float) -> float | None:
+    """Seconds left at the pace so far; None where there is no pace yet."""
+    return round(spent * (total - done) / done, 1) if done > 0 else None
+
+
+def _clock(seconds: float | None) -> str:
+    if seconds is None:
+        return ""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return (f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}") + " left"
+
+
+def _bars(scenes: int) -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    bars = Progress(
+        TextColumn("{task.description:<36}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"),
+        TextColumn("{task.fields[left]}"), console=Console(stderr=True), transient=True,
+    )  # fmt: skip
+    bars.add_task(f"study: 0 of {scenes} scenes", total=float(scenes), left="")
+    return bars

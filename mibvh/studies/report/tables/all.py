@@ -1,0 +1,35 @@
+"""All tables over the scenes of a study, in the order in which they are read."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from mibvh.studies.record.experiment import experiments
+from mibvh.studies.record.scene import Records
+from mibvh.studies.record.sheet import Sheet
+from mibvh.studies.report.tables.builders import builder_sheets
+from mibvh.studies.report.tables.claims import claim_sheets
+from mibvh.studies.report.tables.instrument import instrument_sheets
+from mibvh.studies.report.tables.prediction import prediction_sheets
+from mibvh.studies.report.tables.steps import step_sheets
+from mibvh.studies.report.tables.trees import tree_sheet
+
+
+def answers(records: Records, found: pd.DataFrame) -> list[Sheet]:
+    """Return all tables over the scenes.
+
+    Parameters
+    ----------
+    records : sequence of SceneRecord
+    found : DataFrame
+        From :func:`mibvh.studies.analyse.correlations.correlations`.
+    """
+    return [
+        *claim_sheets(records, found),
+        *prediction_sheets(records, found),
+        *builder_sheets(records),
+        *(sheet for experiment in experiments() for sheet in experiment.sheets(records)),
+        *step_sheets(records),
+        *instrument_sheets(records, found),
+        tree_sheet(records),
+    ]

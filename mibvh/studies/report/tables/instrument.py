@@ -1,0 +1,111 @@
+"""Tables on the instrument itself: the stopwatch, its noise, the time that a study takes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from mibvh.studies.analyse.correlations import LANES, SCALAR, worst_error
+from mibvh.studies.analyse.noise import headline_predictors, noise_table
+from mibvh.studies.measure.rotation import RotationResult
+from mibvh.studies.record.scene import Records
+from mibvh.studies.record.sheet import Column, Sheet
+
+_SECTION = "How well the stopwatch agrees with itself"
+#: What the stages of a study are.
+_STAGES = {
+    "trees": "building them, all builders",
+    "metrics": "SAH and EPO of all trees",
+    "counts": "rays traced with counters, point queries, lines",
+    "stopwatch": "scalar and SIMD",
+    "rotation": "all of it: trees, metrics, counts, stopwatch",
+    "sensitivity": "trees of other leaf sizes, deeper bounces",
+}
+
+
+def instrument_sheets(records: Records, found: pd.DataFrame) -> list[Sheet]:
+    """Return the tables of the stopwatch, of its noise, and of the seconds spent."""
+    return [_stopwatch(records), _noise(records, found), _seconds(records)]
+
+
+def _stopwatch(records: Records) -> Sheet:
+    rows = []
+    for record in records:
+        row: dict[str, Any] = {"scene": record.scene}
+        for lanes in LANES:
+            timing = record.timing[lanes.key]
+            row[f"{lanes.key}_rounds"] = timing.rounds
+            row[f"{lanes.key}_error"] = worst_error([record], lanes.error)
+            row[f"{lanes.key}_twice"] = timing.repeat_difference
+        if rotation := record.result(RotationResult):
+            again = [tree["scalar_ns_before"] for tree in rotation.trees]
+            row["again"] = float(np.mean(again / record.column(SCALAR.ns))) - 1
+        rows.append(row)
+    frame = pd.DataFrame(rows)
+    columns = [Column("scene")]
+    for lanes in LANES:
+        columns += [
+            Column(f"{lanes.key}_rounds", f"{lanes.title} rounds"),
+            Column(f"{lanes.key}_error", f"{lanes.title} worst error", ".1%"),
+            Column(f"{lanes.key}_twice", f"{lanes.title} same tree twice", "+.1%"),
+        ]
+    if "again" in frame:
+        columns.append(Column("again", "scalar level again", "+.1%"))
+    return Sheet(
+        name="stopwatch",
+        section=_SECTION,
+        title="The stopwatch",
+        note="Rounds in which every tree was timed once, the largest standard error of a tree's "
+        "time relative to the others, and by how much one tree, timed twice under two names, "
+        "differed. The level of all times of a scene is known less well: where the scene was "
+        "rotated its trees were timed once more, minutes later, and the last column says by how "
+        "much the level differed then.",
+        frame=frame,
+        columns=columns,
+    )
+
+
+def _noise(records: Records, found: pd.DataFrame) -> Sheet:
+    table = noise_table(records, found)
+    frame = pd.DataFrame({"scene": table["scene"].unique()})
+    columns = [Column("scene")]
+    for lanes in LANES:
+        of = table[table["lanes"] == lanes.key].reset_index()
+        frame[f"{lanes.key}_most"] = of["r_at_most"]
+        columns.append(Column(f"{lanes.key}_most", f"{lanes.title}: r at most", ".3f"))
+        for name in headline_predictors():
+            key = f"{lanes.key}_{name}"
+            frame[key] = of[name]
+            heading = f"{lanes.title}: noise in what {name} misses"
+            columns.append(Column(key, heading, ".0%"))
+    return Sheet(
+        name="noise",
+        section=_SECTION,
+        title="What part of the missing correlation is noise",
+        note="Of the variance of a scene's times, the mean square of their standard errors is "
+        "noise; no predictor can be expected to correlate better than 'r at most'. What a "
+        "predictor misses is 1 − r²; the other columns say what share of it is that noise.",
+        frame=frame,
+        columns=columns,
+    )
+
+
+def _seconds(records: Records) -> Sheet:
+    frame = pd.DataFrame([{"scene": record.scene, **record.seconds} for record in records])
+    stages = [str(name) for name in frame.columns[1:]]
+    frame["all"] = frame[stages].sum(axis=1, skipna=False)
+    return Sheet(
+        name="seconds",
+        section="Where the time of the study went",
+        title="Seconds that the study took",
+        note="Each piece counts as in the run that made it, however often the study was begun "
+        "again. Loading the scene and writing the report are not counted.",
+        frame=frame,
+        columns=[
+            Column("scene"),
+            *(Column(name, format=".1f", help=_STAGES.get(name, "")) for name in stages),
+            Column("all", format=".1f"),
+        ],
+    )

@@ -1,0 +1,60 @@
+"""The tables of one scene: its trees, and how well their cost is predicted."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from mibvh.metrics.predictors import glossary
+from mibvh.studies.record.quantities import columns, targets
+from mibvh.studies.record.scene import SceneRecord
+from mibvh.studies.record.sheet import Column, Sheet
+
+#: How well a predictor explains a measurement.
+_AGREEMENT = (
+    Column("alpha", "α", ".2f", "weight of EPO"),
+    Column("pearson", "Pearson r", ".3f", "correlation over the trees"),
+    Column("low", "low", ".3f", "lower end of the 95% bootstrap interval of r over the rays"),
+    Column("high", "high", ".3f", "upper end of the 95% bootstrap interval of r over the rays"),
+    Column("held_out", "held out", ".3f", "r of trees predicted from a fit to the others"),
+    Column("without_worst", "r without one", ".3f", "r without the tree that changes it most"),
+    Column("spearman", "Spearman", ".3f", "rank correlation"),
+    Column("kendall", "Kendall", ".3f", "rank correlation"),
+    Column("worst_error", "worst error", ".1%", "largest relative error of the least-squares line"),
+    Column("trees", "trees", "d", "how many"),
+)
+
+
+def scene_answers(record: SceneRecord, found: pd.DataFrame) -> list[Sheet]:
+    """Return the tables of one scene.
+
+    Parameters
+    ----------
+    record : SceneRecord
+    found : DataFrame
+        From :func:`mibvh.studies.analyse.correlations.correlations`.
+    """
+    return [_trees(record), _agreement(record, found)]
+
+
+def _trees(record: SceneRecord) -> Sheet:
+    rows = [{"builder": tree.builder, **tree.values} for tree in record.trees]
+    return Sheet(
+        name=f"{record.scene}-trees",
+        section=record.scene,
+        title=f"Trees of {record.scene}",
+        frame=pd.DataFrame(rows),
+        columns=[Column("builder"), *(Column.of(q, error=True) for q in columns())],
+    )
+
+
+def _agreement(record: SceneRecord, found: pd.DataFrame) -> Sheet:
+    of = found[found["scene"] == record.scene]
+    headings = {target.name: target.heading for target in targets()}
+    return Sheet(
+        name=f"{record.scene}-agreement",
+        section=record.scene,
+        title=f"Agreement of predicted and measured cost, {record.scene}",
+        frame=of.assign(measured=of["measurement"].map(headings)),
+        columns=[Column("measured"), Column("predictor"), *_AGREEMENT],
+        glossary=glossary(),
+    )

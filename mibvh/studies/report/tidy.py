@@ -1,0 +1,143 @@
+"""The study's tables as files: one tidy, one per tree, and those that people read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from mibvh.files import atomic_path, write_text
+from mibvh.metrics.registry import Quantity
+from mibvh.studies.measure.counts import LINES
+from mibvh.studies.record.experiment import TidyRow, experiments
+from mibvh.studies.record.quantities import quantities
+from mibvh.studies.record.scene import Records, SceneRecord
+from mibvh.studies.record.serialise import to_json
+from mibvh.studies.record.sheet import Sheet
+
+#: What a row of the tidy table is of, where its experiment says nothing else.
+_USUAL = {
+    "experiment": "prediction",
+    "rotation": 0.0,
+    "bounce": 0,
+    "viewpoint": -1,
+    "cut_depth": -1,
+    "splits": -1,
+}
+
+
+def wide_table(records: Records) -> pd.DataFrame:
+    """One row per scene and tree."""
+    names = [quantity.name for quantity in quantities().values() if quantity.per_tree]
+    return pd.DataFrame(
+        [
+            {
+                "scene": record.scene,
+                "triangles": record.triangles,
+                "builder": tree.builder,
+                **{name: tree[name] for name in names},
+            }
+            for record in records
+            for tree in record.trees
+        ]
+    )
+
+
+def tidy_table(records: Records) -> pd.DataFrame:
+    """One row per scene, tree and measurement, with what it was made with.
+
+    Beside the trees as they are (``experiment`` is ``prediction``) there are the rows of all
+    experiments: of the rotated scene (``rotation``: degrees about (1, 1, 1)), of other leaf sizes,
+    of the rays of each bounce and viewpoint alone, and of trees cut at a depth or after some
+    splits. The columns are listed in ``docs/experiments.md``.
+    """
+    known = quantities()
+    rows = [
+        row
+        for record in records
+        for experiment in experiments()
+        for tidy in experiment.rows(record)
+        for row in _rows(record, tidy, known)
+    ]
+    return pd.DataFrame(rows)
+
+
+def _rows(
+    record: SceneRecord, tidy: TidyRow, known: dict[str, Quantity]
+) -> Iterator[dict[str, Any]]:
+    """Yield a row of the file for each declared quantity."""
+    tree, of = record.trees[tidy.place], dict(tidy.of)
+    max_leaf = of.pop("max_leaf", tree.options["max_leaf"])
+    common = _common(record)
+    rays = {**_rays(record), **tidy.rays}
+    for quantity in known.values():
+        if quantity.name in tidy.values:
+            yield {
+                **common,
+                "builder": tree.builder,
+                "builder_options": json.dumps({**tree.options, "max_leaf": max_leaf}),
+                "rays": rays[quantity.rays] if quantity.rays else 0,
+                **_USUAL,
+                "max_leaf": max_leaf,
+                **of,
+                "measurement": quantity.name,
+                "value": float(tidy.values[quantity.name]),
+                "unit": quantity.unit,
+            }
+
+
+def _common(record: SceneRecord) -> dict[str, Any]:
+    """What all rows of a scene share."""
+    machine = record.environment
+    packages = machine["packages"]
+    return {
+        "scene": record.scene,
+        "triangles": record.triangles,
+        "digest": record.digest,
+        "seed": record.rays.seed,
+        "study_options": json.dumps(to_json(record.options)),
+        "mibvh": machine["mibvh"],
+        "mitsuba": packages["mitsuba"],
+        "drjit": packages["drjit"],
+        "packages": json.dumps(packages),
+        **{name: machine[name] for name in ("llvm", "variant", "lane_width", "cpu", "threads")},
+    }
+
+
+def _rays(record: SceneRecord) -> dict[str, int]:
+    """Sizes of the populations of rays."""
+    count = record.rays.count
+    every = -(-count // LINES)
+    return {
+        "all": count,
+        "lines": -(-count // every),  # every k-th
+        **{lanes: timing.rays for lanes, timing in record.timing.items()},
+    }
+
+
+def write_tables(folder: Path, records: Records, correlations: pd.DataFrame) -> None:
+    """Write ``results.parquet`` (tidy), ``results.csv`` (wide) and ``correlations.csv``."""
+    with atomic_path(folder / "results.parquet") as path:
+        tidy_table(records).to_parquet(path, index=False)
+    for name, table in (("results", wide_table(records)), ("correlations", correlations)):
+        with atomic_path(folder / f"{name}.csv") as path:
+            table.to_csv(path, index=False)
+
+
+def write_sheets(folder: Path, sheets: list[Sheet]) -> list[str]:
+    """Write tables for people under ``tables/``: the values as CSV, the text as LaTeX.
+
+    Returns
+    -------
+    list of str
+        The files, relative to the folder.
+    """
+    (folder / "tables").mkdir(exist_ok=True)
+    for sheet in sheets:
+        with atomic_path(folder / "tables" / f"{sheet.name}.csv") as path:
+            sheet.values.to_csv(path, index=False)
+        write_text(folder / "tables" / f"{sheet.name}.tex", sheet.latex())
+    return [f"tables/{sheet.name}.{kind}" for sheet in sheets for kind in ("csv", "tex")]
