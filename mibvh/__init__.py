@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mibvh import plot
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
     from mibvh.errors import MibvhError
+    from mibvh.measures import Area, Flux, Segments
     from mibvh.layouts import read_tree, write_tree
     from mibvh.metrics.epo import epo, epo_per_depth, epo_per_node
     from mibvh.metrics.lines import RayLines, ray_lines, sah_of_lines
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
         path_length_ratio,
     )
     from mibvh.metrics.sah import sah, sah_per_node
+    from mibvh.optimize import optimize
     from mibvh.rays import Mixture, RaySet, diffuse_rays, make_rays, read_rays
     from mibvh.scene import Scene, load
     from mibvh.studies import Study, StudyOptions, study
@@ -41,9 +43,11 @@ if TYPE_CHECKING:
     from mibvh.triangles import Triangles, rotation_about
 
 _PUBLIC = {
+    "Area": "mibvh.measures",
     "Context": "mibvh.builders",
     "Draft": "mibvh.builders",
     "Estimate": "mibvh.metrics.points",
+    "Flux": "mibvh.measures",
     "Hits": "mibvh.traversal.trace",
     "MibvhError": "mibvh.errors",
     "Mixture": "mibvh.rays",
@@ -53,6 +57,7 @@ _PUBLIC = {
     "RaySet": "mibvh.rays",
     "References": "mibvh.builders",
     "Scene": "mibvh.scene",
+    "Segments": "mibvh.measures",
     "Study": "mibvh.studies",
     "StudyOptions": "mibvh.studies",
     "Tree": "mibvh.tree",
@@ -70,6 +75,7 @@ _PUBLIC = {
     "fit_alpha": "mibvh.metrics.predictor",
     "load": "mibvh.scene",
     "make_rays": "mibvh.rays",
+    "optimize": "mibvh.optimize",
     "option": "mibvh.builders",
     "path_length_ratio": "mibvh.metrics.predictor",
     "plot": "mibvh",
@@ -88,9 +94,11 @@ _PUBLIC = {
 }
 
 __all__ = [
+    "Area",
     "Context",
     "Draft",
     "Estimate",
+    "Flux",
     "Hits",
     "MibvhError",
     "Mixture",
@@ -100,6 +108,7 @@ __all__ = [
     "RaySet",
     "References",
     "Scene",
+    "Segments",
     "Study",
     "StudyOptions",
     "Tree",
@@ -118,6 +127,7 @@ __all__ = [
     "fit_alpha",
     "load",
     "make_rays",
+    "optimize",
     "option",
     "path_length_ratio",
     "plot",

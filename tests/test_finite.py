@@ -108,3 +108,22 @@ def test_for_unseen_viewpoints_it_is_no_worse_than_the_area_tree():
 def test_finite_is_asked_for_by_name_alone():
     assert "finite" not in names()
     assert mibvh.builders.get("finite").describe()["options"]["budget"]["default"] == 1.0
+
+
+def test_optimize_finds_the_cheapest_tree_and_says_what_it_saves(scene, tmp_path):
+    from typer.testing import CliRunner
+
+    from mibvh.cli import app
+
+    found = mibvh.optimize(scene, **FEW)
+    assert set(found.costs) == {"finite", "sbvh", "bittner_sbvh"}
+    assert found.costs[found.tree.meta["builder"]] == min(found.costs.values())
+    own, sbvh = found.costs["finite"], found.costs["sbvh"]
+    assert f"cost {own:.1f} in this tree" in found.sentence()
+    assert f"{1 - own / sbvh:.0%} of what they cost in sbvh ({sbvh:.1f})" in found.sentence()
+    path = tmp_path / "tree.npz"
+    options = [f"--option={name}={value}" for name, value in FEW.items()]
+    ran = CliRunner().invoke(app, ["optimize", "cornell@6000", "-o", str(path), *options])
+    assert ran.exit_code == 0, ran.output
+    assert "counted on" in ran.output
+    assert mibvh.Tree.load(path).validate(scene.triangles) == []

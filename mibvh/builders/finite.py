@@ -47,6 +47,8 @@ _WEIGHTS = (0.1, 0.6, 3.0)
 #: Rays between surfaces begin this share of the diagonal off them.
 _OFF = 1e-5
 
+#: What a ray file holds.
+_ARRAYS = ("o", "d", "tmax", "viewpoint", "bounce", "source")
 #: Origins, directions, greatest distances and viewpoints of rays.
 _Rays = tuple[F32, F32, F32, I32]
 
@@ -107,14 +109,13 @@ def training_rays(
 ) -> tuple[_Rays, str]:
     """Rays to build for, and a sentence on where they are from."""
     if options.rays:
-        names = ("o", "d", "tmax", "viewpoint")
-        arrays, meta = read_arrays(options.rays, "ray set", names)
+        arrays, meta = read_arrays(options.rays, "ray set", _ARRAYS)
         if meta.get("digest") not in (None, triangles.digest):
             raise MibvhError(
                 f"{options.rays}: the rays were made for another geometry than {triangles.name}"
             )
         step = max(1, -(-len(arrays["o"]) // options.count))
-        o, d, tmax, viewpoint = (arrays[name][::step] for name in names)
+        o, d, tmax, viewpoint = (arrays[name][::step] for name in _ARRAYS[:4])
         return (o, d, tmax, viewpoint), f"rays of {options.rays}"
     trace = getattr(context.source, "few_rays", None)
     if trace is not None:
@@ -122,8 +123,8 @@ def training_rays(
         said = f"diffuse rays of {len(np.unique(found.viewpoint))} viewpoints"
         return (found.o, found.d, found.tmax, found.viewpoint), said
     said = (
-        "rays between surfaces, as there is no scene with cameras: what is gained for a "
-        "camera's rays is about half of what its own rays would give"
+        "rays between surfaces, as there is no scene with cameras: worth hardly more than the "
+        "area; hand the scene to the build"
     )
     return surface_rays(triangles, options.count, options.seed), said
 
