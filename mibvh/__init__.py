@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from mibvh import plot
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
     from mibvh.errors import MibvhError
-    from mibvh.measures import Area, Flux, Segments
     from mibvh.layouts import read_tree, write_tree
+    from mibvh.measures import Area, Flux, Segments
     from mibvh.metrics.epo import epo, epo_per_depth, epo_per_node
     from mibvh.metrics.lines import RayLines, ray_lines, sah_of_lines
     from mibvh.metrics.points import (
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
         path_length_ratio,
     )
     from mibvh.metrics.sah import sah, sah_per_node
-    from mibvh.optimize import optimize
+    from mibvh.optimised import optimize
     from mibvh.rays import Mixture, RaySet, diffuse_rays, make_rays, read_rays
     from mibvh.scene import Scene, load
     from mibvh.studies import Study, StudyOptions, study
@@ -75,7 +75,7 @@ _PUBLIC = {
     "fit_alpha": "mibvh.metrics.predictor",
     "load": "mibvh.scene",
     "make_rays": "mibvh.rays",
-    "optimize": "mibvh.optimize",
+    "optimize": "mibvh.optimised",
     "option": "mibvh.builders",
     "path_length_ratio": "mibvh.metrics.predictor",
     "plot": "mibvh",
