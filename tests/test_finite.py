@@ -102,7 +102,7 @@ def test_for_unseen_viewpoints_it_is_no_worse_than_the_area_tree():
     rays = mibvh.diffuse_rays(other, width=32, height=24, samples=1)
     area = mibvh.build(scene, "bittner", start="sbvh")
     assert cost(tree, scene, rays) <= 1.01 * cost(area, scene, rays)
-    assert tree.meta["report"]["area_weight"] in (0.1, 0.6, 3.0, "area alone")
+    assert tree.meta["report"]["area_weight"] in (0.6, 1.2, "area alone")
 
 
 def test_finite_is_asked_for_by_name_alone():

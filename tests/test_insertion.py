@@ -20,6 +20,8 @@ from mibvh.builders.insertion import (
     _search,
     bittner,
 )
+from mibvh.measures import Flux, Segments
+from mibvh.measures.boxes import of_boxes
 
 COSTS = {"c_inner": 1.2, "c_tri": 1.0, "max_leaf": 8}
 
@@ -302,3 +304,44 @@ def test_progress_rises_to_one():
 def test_impossible_options_are_refused(wrong):
     with pytest.raises(mibvh.MibvhError):
         mibvh.build(soup("mixed sizes", 10), "bittner", **wrong)
+
+
+def test_by_another_measure_rows_keep_it_and_the_search_finds_the_best_of_all():
+    rng = np.random.default_rng(8)
+    draft = random_draft(soup("mixed sizes", 60))
+    ends = rng.random((2, 500, 3)).astype(np.float32) * 2
+    flux = Flux(Segments(*ends, np.zeros(500, np.int32)), planes=12)
+    measure = flux.compiled(draft.references.scale)
+    state = _Optimiser(draft, InsertionOptions(batch=0.2), measure)
+    for _ in range(4):
+        state.batch(state.select(at_random=False), Context())
+    rows, up = state.rows, state.up
+    entries = entries_of(rows)
+
+    def box_of(entry):
+        return rows[entry >> 1, 8 * (entry & 1) : 8 * (entry & 1) + 7]
+
+    def value(box):
+        return of_boxes(measure, np.asarray(box, np.float32)[None, :6])[0]
+
+    for entry in entries:
+        assert box_of(entry)[6] == value(box_of(entry))
+
+    def joint(entry, box):
+        own = box_of(entry)
+        return value(np.r_[np.minimum(own[:3], box[:3]), np.maximum(own[3:6], box[3:6])])
+
+    def cost(entry, box):
+        grown = sum(joint(a, box) - value(box_of(a)) for a in entries[entry])
+        return grown + joint(entry, box)
+
+    for _ in range(15):
+        low = rng.random(3)
+        box = np.r_[low, low + rng.random(3) * 0.3, 0].astype(np.float32)
+        box[6] = value(box)
+        costs = {entry: cost(entry, box) for entry in entries}
+        near = rng.choice(list(entries))
+        links = rows.view(np.int32)
+        place, found = _search(measure, rows, links, up, box, near, np.inf, *state.heap)
+        assert found == pytest.approx(min(costs.values()), rel=1e-5)
+        assert costs[place] == pytest.approx(min(costs.values()), rel=1e-5)

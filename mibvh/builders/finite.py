@@ -41,9 +41,10 @@ from mibvh.measures.flux import MAX_SEGMENTS
 from mibvh.measures.walk import counted_cost, cut_at_hits
 from mibvh.triangles import F32, I32, Triangles
 
-#: What cross-validation over viewpoints chooses the weight of the area from; the area alone
-#: is a choice, too.
-_WEIGHTS = (0.1, 0.6, 3.0)
+#: What cross-validation over viewpoints chooses the weight of the area from, and what part of the
+#: area tree's cost it must be below: with few viewpoints, it is noisy.
+_WEIGHTS = (0.6, 1.2)
+_MARGIN = 0.99
 #: Rays between surfaces begin this share of the diagonal off them.
 _OFF = 1e-5
 
@@ -193,13 +194,14 @@ class _Search:
         """Choose the weight of the area by cross-validation over viewpoints; inf: area alone."""
         viewpoints = np.unique(segments.viewpoint)
         if len(viewpoints) < 2:
-            return max(_WEIGHTS)
+            return np.inf
         fold = np.searchsorted(viewpoints, segments.viewpoint) % 2
-        costs = {float("inf"): 2 * self.cost(self.area_tree(), segments)}
+        area = self.area_tree()
+        halves = [segments.select(fold == half) for half in range(2)]
+        costs = {float("inf"): _MARGIN * sum(self.cost(area, half) for half in halves)}
         for weight in _WEIGHTS:
             costs[weight] = 0.0
-            for half in range(2):
-                seen, other = segments.select(fold == half), segments.select(fold != half)
+            for seen, other in (halves, halves[::-1]):
                 measure = Flux(seen, self.options.planes, weight)
                 draft, _ = self.best(measure, seen)
                 costs[weight] += self.cost(draft, other)
