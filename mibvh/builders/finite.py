@@ -167,7 +167,8 @@ class _Search:
         }
         costs = {name: self.cost(draft, segments) for name, draft in drafts.items()}
         chosen = min(costs, key=costs.__getitem__)
-        draft, report = drafts[chosen], {"start": chosen, "split": 0, "merged": 0}
+        draft = drafts[chosen]
+        report: dict[str, Any] = {"start": chosen, "split": 0, "merged": 0}
         for _ in range(self.options.effort - 1):
             tried, splits, merges = self._resplit(draft, context, compiled)
             cost = self.cost(tried, segments)

@@ -82,7 +82,9 @@ class Flux:
         """(3, P) float32: the planes in scene units, rising along each axis."""
         reach = _BRACKET * float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
         rows = [
-            _planes_of_axis(self.rays.start[:, k], *self.bounds[:, k], self.planes, reach)
+            _planes_of_axis(
+                self.rays.start[:, k], self.bounds[0, k], self.bounds[1, k], self.planes, reach
+            )
             for k in range(3)
         ]
         longest = max(len(row) for row in rows)

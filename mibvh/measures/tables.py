@@ -50,7 +50,7 @@ class FluxTables(NamedTuple):
         The last plane at or below the beginning of each cell of equal size; 0 for the first.
     lookup : (6,) float32
         Origin of the cells of each axis, and cells per unit.
-    count : int
+    per_axis : int
         P.
     area_weight, share_weight : float
         The measure is the first times half the area plus the second times the number of
@@ -62,7 +62,7 @@ class FluxTables(NamedTuple):
     inverse: F32
     cells: Any
     lookup: F32
-    count: int
+    per_axis: int
     area_weight: float
     share_weight: float
 
@@ -70,7 +70,7 @@ class FluxTables(NamedTuple):
 @njit(allocates=False)
 def _plane_below(tables, axis, value):
     """Last plane at or below a coordinate, but the last of all, and how far it is to the next."""
-    count = tables.count
+    count = tables.per_axis
     at = (value - tables.lookup[axis]) * tables.lookup[axis + 3]
     cell = np.int64(min(max(at, np.float32(0)), np.float32(CELLS - 1)))
     plane = np.int64(tables.cells[axis * CELLS + cell])
@@ -112,8 +112,8 @@ def touched(tables, x0, y0, z0, x1, y1, z1):
     k0, w0 = _plane_below(tables, 2, z0)
     k1, w1 = _plane_below(tables, 2, z1)
     table = tables.table
-    step_y = np.uint64(8 * tables.count)
-    step_x = step_y * np.uint64(tables.count)
+    step_y = np.uint64(8 * tables.per_axis)
+    step_x = step_y * np.uint64(tables.per_axis)
     x_low, x_high = np.uint64(i0) * step_x, np.uint64(i1) * step_x
     y_low, y_high = np.uint64(j0) * step_y, np.uint64(j1) * step_y
     z_low, z_high = np.uint64(8 * k0), np.uint64(8 * k1)

@@ -99,7 +99,9 @@ def _walk(begin, end, lower, upper, left, first, count, references, corners, o, 
         visits[r, 0], visits[r, 1] = inner, tests
 
 
-def walk(tree: Tree, triangles: Triangles, o: F32, d: F64, tmax: F64) -> tuple[F64, I32]:
+def walk(
+    tree: Tree, triangles: Triangles, o: F32, d: F32 | F64, tmax: F32 | F64
+) -> tuple[F64, I32]:
     """Trace rays through a tree.
 
     Parameters
@@ -148,14 +150,18 @@ def cut_at_hits(
         Rays that are no numbers are left out.
     """
     sound = np.isfinite(o).all(1) & np.isfinite(d).all(1) & (tmax >= 0) & (d != 0).any(1)
-    o, d, viewpoint = o[sound], d[sound].astype(np.float64), viewpoint[sound]
+    o, viewpoint = o[sound], viewpoint[sound]
+    along = d[sound].astype(np.float64)
     limit = tmax[sound].astype(np.float64)
-    t, _ = walk(tree, triangles, o, d, limit)
+    t, _ = walk(tree, triangles, o, along, limit)
     low, high = triangles.bounds.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
-        far = np.where(d > 0, (high - o) / d, np.where(d < 0, (low - o) / d, np.inf)).min(axis=1)
+        far = np.where(
+            along > 0, (high - o) / along, np.where(along < 0, (low - o) / along, np.inf)
+        )
+    far = far.min(axis=1)
     t = np.where(np.isfinite(t), t, np.minimum(np.maximum(far, 0.0), limit))
-    return Segments(o, (o + d * t[:, None]).astype(np.float32), viewpoint)
+    return Segments(o, (o + along * t[:, None]).astype(np.float32), viewpoint)
 
 
 def counted_cost(
