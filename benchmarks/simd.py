@@ -33,8 +33,13 @@ RUNS: dict[str, tuple[str, int, str]] = {
     "single 16": ("single", 16, "stored"),
 }
 #: The kernels whose deviation from scalar cost is to be explained.
-KERNELS = ("persistent 32", "persistent 32, random", "speculative 32", "speculative 32, random",
-           "single 16")  # fmt: skip
+KERNELS = (
+    "persistent 32",
+    "persistent 32, random",
+    "speculative 32",
+    "speculative 32, random",
+    "single 16",
+)
 #: What might explain it, each but for a factor that the trees of a scene share.
 QUANTITIES = {
     "lcv": "LCV",
@@ -49,14 +54,14 @@ QUANTITIES = {
     "rounds_wait": "rounds model, waiting",
     "rounds_real": "rounds model, waiting, warps as stored",
 }
-#: Those that are estimates of the deviation itself, so that nothing need be fitted.
+#: Those that are estimates of the deviation itself: nothing is fitted.
 ESTIMATES = ("cost_most", "cost_most_real", "rounds_fetch", "rounds_wait", "rounds_real")
-#: Products of quantities to powers; LCV's share of a waiting warp's cost is a quarter.
+#: Products of quantities to powers: the slopes found over the scenes, rounded.
 EQUATIONS: dict[str, dict[str, float]] = {
     "(std of cost / mean)^1/2": {"cost_cv": 0.5},
     "(std of cost / mean)^1/2 x LCV^1/4": {"cost_cv": 0.5, "lcv": 0.25},
 }
-_RESAMPLED = 2000
+_RESAMPLED = 1000
 
 
 @dataclasses.dataclass
@@ -86,8 +91,7 @@ def measure(scene: Any, builder: str, rays: Any, folder: Path | None) -> Row:
     from mibvh.traversal import divergence
     from mibvh.traversal.warp import ray_rounds, simulate
 
-    file = folder / scene.name / f"{builder}.npz" if folder else None
-    tree = mibvh.Tree.load(file) if file and file.exists() else mibvh.build(scene, builder)
+    tree = tree_of(scene, builder, folder)
     alone = simulate(tree, scene, rays, 1, "single")
     cost = 1.2 * alone.inner + alone.tests
     rounds = ray_rounds(tree, scene, rays)
@@ -101,10 +105,15 @@ def measure(scene: Any, builder: str, rays: Any, folder: Path | None) -> Row:
         if (run.t != alone.t).any() or (run.triangle != alone.triangle).any():
             raise SystemExit(f"{scene.name}, {builder}, {name}: hits differ from scalar ones")
     return Row(
-        scene.name, builder, len(scene.triangles), len(rays), mibvh.sah(tree),
+        scene.name,
+        builder,
+        len(scene.triangles),
+        len(rays),
+        mibvh.sah(tree),
         # From points: of trees that split triangles, too.
         estimate_epo(tree, scene, 200_000).value,
-        alone.lcv, alone.cost(),
+        alone.lcv,
+        alone.cost(),
         {name: run.cost() for name, run in runs.items()},
         {name: run.utilisation() for name, run in runs.items()},
         {
@@ -121,7 +130,15 @@ def measure(scene: Any, builder: str, rays: Any, folder: Path | None) -> Row:
             "rounds_real": divergence.rounds_cost(rounds, 32, fetch=False, dealt=stored)
             / alone.cost(),
         },
-    )  # fmt: skip
+    )
+
+
+def tree_of(scene: Any, builder: str, folder: Path | None) -> Any:
+    """Tree that was built before, or a new one."""
+    import mibvh
+
+    file = folder / scene.name / f"{builder}.npz" if folder else None
+    return mibvh.Tree.load(file) if file and file.exists() else mibvh.build(scene, builder)
 
 
 def rays_of(scene: Any, folder: Path | None, width: int) -> Any:
@@ -154,6 +171,41 @@ def measure_all(sources: list[str], keep: Path, folder: Path | None, width: int)
     return rows
 
 
+def check(source: str, folder: Path | None) -> None:
+    """Whether the order of rays, their number, or how warps share them matters: a table."""
+    import mibvh
+    from mibvh.builders import names
+    from mibvh.traversal.warp import simulate
+
+    scene = mibvh.load(source)
+    rays = mibvh.diffuse_rays(scene, width=160, height=120, samples=4, sort=False)
+    ways: dict[str, dict[str, Any]] = {
+        "as paths are made": {"order": "path"},
+        "Morton order": {"order": "morton"},
+        "random order": {"order": "random"},
+        "Morton order, queues of 16 rays per lane": {"order": "morton", "rays_per_lane": 16},
+        "Morton order, one queue for 720 warps": {
+            "order": "morton",
+            "warps": 720,
+            "rays_per_lane": len(rays),
+        },
+    }
+    ratios: dict[str, list[float]] = {way: [] for way in ways}
+    for builder in names():
+        tree = tree_of(scene, builder, folder)
+        alone = simulate(tree, scene, rays, 1, "single").cost()
+        for way, options in ways.items():
+            ratios[way].append(simulate(tree, scene, rays, 32, **options).cost() / alone)
+    print(f"\n## {scene.name}, {len(rays):,} rays, `persistent 32`: deviation in per cent")
+    table(
+        ["rays", *names(), "mean utilisation"],
+        [
+            [way, *(f"{100 * d:+.1f}" for d in _centred(r)), f"{np.mean(1 / np.array(r)):.2f}"]
+            for way, r in ratios.items()
+        ],
+    )
+
+
 # ------------------------------------------------------------ analysis
 
 
@@ -169,18 +221,23 @@ class Scenes:
 
     def deviation(self, kernel: str) -> list[F64]:
         """Logarithm of SIMD over scalar cost, less the scene's mean: an array per scene."""
-        return [_centred([row.costs[kernel] / row.scalar for row in self.rows[name]])
-                for name in self.names]  # fmt: skip
+        return [
+            _centred([row.costs[kernel] / row.scalar for row in self.rows[name]])
+            for name in self.names
+        ]
 
     def quantity(self, name: str) -> list[F64]:
         """Logarithm of a quantity, less the scene's mean."""
-        return [_centred([row.quantities[name] for row in self.rows[scene]])
-                for scene in self.names]  # fmt: skip
+        return [
+            _centred([row.quantities[name] for row in self.rows[scene]]) for scene in self.names
+        ]
 
     def equation(self, name: str) -> list[F64]:
         """Logarithm of a product of quantities to powers, less the scene's mean."""
-        terms = [[power * x for x in self.quantity(quantity)]
-                 for quantity, power in EQUATIONS[name].items()]  # fmt: skip
+        terms = [
+            [power * x for x in self.quantity(quantity)]
+            for quantity, power in EQUATIONS[name].items()
+        ]
         return [np.sum(scene, axis=0) for scene in zip(*terms, strict=True)]
 
 
@@ -200,8 +257,9 @@ def explained(x: list[F64], y: list[F64], fitted: bool = True) -> F64:
     A scene's deviation is predicted by the quantity times a slope: that of the other scenes, or 1.
     """
     slopes = [slope([x], y, i)[0] if fitted else 1.0 for i in range(len(x))]
-    return np.array([(((v - b * u) ** 2).sum(), (v**2).sum())
-                     for u, v, b in zip(x, y, slopes, strict=True)])  # fmt: skip
+    return np.array(
+        [(((v - b * u) ** 2).sum(), (v**2).sum()) for u, v, b in zip(x, y, slopes, strict=True)]
+    )
 
 
 def slope(columns: list[list[F64]], y: list[F64], without: int) -> F64:
@@ -281,8 +339,18 @@ def by_builder(scenes: Scenes) -> None:
         lowest = sum(r[k].lcv == min(row.lcv for row in r) for r in rows)
         cells.append(str(lowest))
         lines.append(cells)
-    table(["builder", *KERNELS, "LCV", "LCV / mean", "cost std / mean", "rounds, fetching",
-           "scenes with lowest LCV"], lines)  # fmt: skip
+    table(
+        [
+            "builder",
+            *KERNELS,
+            "LCV",
+            "LCV / mean",
+            "cost std / mean",
+            "rounds, fetching",
+            "scenes with lowest LCV",
+        ],
+        lines,
+    )
 
 
 def explanations(scenes: Scenes) -> None:
@@ -302,8 +370,17 @@ def explanations(scenes: Scenes) -> None:
             raw = explained(x, y, fitted=False)
             lines.append([name, *_judged(scenes, y, x, None, raw)])
         print(f"\n## What explains the deviation of `{kernel}`")
-        table(["quantity", "r pooled", "95% over scenes", "explained, held out",
-               "explained, nothing fitted", "more than LCV held out, 95%"], lines)  # fmt: skip
+        table(
+            [
+                "quantity",
+                "r pooled",
+                "95% over scenes",
+                "explained, held out",
+                "explained as it is",
+                "more than LCV held out, 95%",
+            ],
+            lines,
+        )
 
 
 def _judged(
@@ -387,8 +464,10 @@ def draw(scenes: Scenes, path: Path) -> None:
     for k, builder in enumerate(builders):
         kernels = [f"persistent {width}" for width in WIDTHS]
         d = [100 * np.mean([v[k] for v in scenes.deviation(kernel)]) for kernel in kernels]
-        busy = [np.mean([scenes.rows[name][k].utilisation[kernel] for name in scenes.names])
-                for kernel in kernels]  # fmt: skip
+        busy = [
+            np.mean([scenes.rows[name][k].utilisation[kernel] for name in scenes.names])
+            for kernel in kernels
+        ]
         style = "-" if builder in ("bbvh", "sbvh") else "--"
         axes[0].plot(WIDTHS, d, style, marker="o", markersize=3, label=builder)
         axes[1].plot(WIDTHS, busy, style, marker="o", markersize=3)
@@ -408,9 +487,13 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*")
     parser.add_argument("--keep", type=Path, default=Path("simd.json"), help="measured so far")
     parser.add_argument("--trees", type=Path, help="folder of trees and rays made before")
+    parser.add_argument("--check", metavar="SCENE", help="only see whether order and queue matter")
     parser.add_argument("--width", type=int, default=160, help="pixels per viewpoint, across")
     parser.add_argument("--figure", type=Path, help="where to draw the curves over width")
     arguments = parser.parse_args()
+    if arguments.check:
+        check(arguments.check, arguments.trees)
+        return
     rows = measure_all(arguments.scenes, arguments.keep, arguments.trees, arguments.width)
     scenes = Scenes(rows)
     if not scenes.names:

@@ -14,6 +14,7 @@ from mibvh.version import __version__
 if TYPE_CHECKING:
     from mibvh import plot
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
+    from mibvh.collapsing import collapse, unfold
     from mibvh.errors import MibvhError
     from mibvh.layouts import read_tree, write_tree
     from mibvh.measures import Area, Flux, Segments
@@ -35,12 +36,14 @@ if TYPE_CHECKING:
     )
     from mibvh.metrics.sah import sah, sah_per_node
     from mibvh.optimised import optimize
+    from mibvh.quantise import quantised
     from mibvh.rays import Mixture, RaySet, diffuse_rays, make_rays, read_rays
     from mibvh.scene import Scene, load
     from mibvh.studies import Study, StudyOptions, study
     from mibvh.traversal.trace import Hits, trace
     from mibvh.tree import Tree
     from mibvh.triangles import Triangles, rotation_about
+    from mibvh.wide_tree import WideTree
 
 _PUBLIC = {
     "Area": "mibvh.measures",
@@ -62,8 +65,10 @@ _PUBLIC = {
     "StudyOptions": "mibvh.studies",
     "Tree": "mibvh.tree",
     "Triangles": "mibvh.triangles",
+    "WideTree": "mibvh.wide_tree",
     "build": "mibvh.builders",
     "builder": "mibvh.builders",
+    "collapse": "mibvh.collapsing",
     "diffuse_rays": "mibvh.rays",
     "epo": "mibvh.metrics.epo",
     "epo_at_ends": "mibvh.metrics.points",
@@ -80,6 +85,7 @@ _PUBLIC = {
     "path_length_ratio": "mibvh.metrics.predictor",
     "plot": "mibvh",
     "point_costs": "mibvh.metrics.points",
+    "quantised": "mibvh.quantise",
     "ray_ends": "mibvh.metrics.points",
     "ray_lines": "mibvh.metrics.lines",
     "read_tree": "mibvh.layouts",
@@ -90,6 +96,7 @@ _PUBLIC = {
     "sah_per_node": "mibvh.metrics.sah",
     "study": "mibvh.studies",
     "trace": "mibvh.traversal.trace",
+    "unfold": "mibvh.collapsing",
     "write_tree": "mibvh.layouts",
 }
 
@@ -113,9 +120,11 @@ __all__ = [
     "StudyOptions",
     "Tree",
     "Triangles",
+    "WideTree",
     "__version__",
     "build",
     "builder",
+    "collapse",
     "diffuse_rays",
     "epo",
     "epo_at_ends",
@@ -132,6 +141,7 @@ __all__ = [
     "path_length_ratio",
     "plot",
     "point_costs",
+    "quantised",
     "ray_ends",
     "ray_lines",
     "read_rays",
@@ -142,6 +152,7 @@ __all__ = [
     "sah_per_node",
     "study",
     "trace",
+    "unfold",
     "write_tree",
 ]
 

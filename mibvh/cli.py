@@ -7,22 +7,46 @@ or 2 with one sentence for a user's mistake.
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import importlib.util
 import json
 import os
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
+from typer.core import TyperGroup
 
 from mibvh.errors import MibvhError
+from mibvh.heartbeat import Heartbeat
+
+#: Exit code of a command that Ctrl-C ended, as of any program that it ends.
+INTERRUPTED = 130
+
+
+class _Commands(TyperGroup):
+    """The commands; Ctrl-C ends them with a sentence rather than "Aborted!"."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            # What a study has finished is kept; others write their one file at the end.
+            goes_on = ctx.invoked_subcommand == "study"
+            said = "interrupted; the same command goes on" if goes_on else "interrupted"
+            sys.stderr.write(f"mibvh: {said}\n")
+            raise SystemExit(INTERRUPTED) from None
+
 
 app = typer.Typer(
+    cls=_Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -45,6 +69,9 @@ LayoutOption = Annotated[
     str | None,
     typer.Option(help="mibvh, tinybvh, madmann91 or npz; by default npz by its ending, else mibvh"),
 ]
+#: Exit code of a command whose audit failed.
+AUDIT_FAILED = 3
+
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
 
 
@@ -56,31 +83,46 @@ def _print(result: dict[str, Any], as_json: bool) -> None:
     table = Table(show_header=False, box=None)
     for name, value in result.items():
         text = f"{value:.6g}" if isinstance(value, float) else str(value)
-        table.add_row(name, text)
+        table.add_row(name, Text(text))  # brackets are no markup
     Console().print(table)
 
 
-def _progress() -> Any:
-    """A progress bar on standard error, quiet where that is no terminal."""
+@contextlib.contextmanager
+def _progress() -> Iterator[Any]:
+    """A progress bar on standard error; where that is no terminal, a line every few seconds."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    return Progress(
+    terminal = sys.stderr.isatty()
+    bar = Progress(
         TextColumn("{task.description:<28}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f}%"),
         TimeRemainingColumn(),
         console=Console(stderr=True),
-        disable=not sys.stderr.isatty(),
+        disable=not terminal,
         transient=True,
     )
 
+    def say() -> None:
+        for task in bar.tasks[-1:]:
+            sys.stderr.write(f"mibvh: {task.description} ({task.percentage:.0f}%)\n")
 
-def _show(bar: Any, task: Any) -> Callable[[str, float], None]:
+    with bar, contextlib.nullcontext() if terminal else Heartbeat(say):
+        yield bar
+
+
+def _doing(what: str) -> Heartbeat:
+    """Say every few seconds what a command is at that has no progress to tell."""
+    return Heartbeat(lambda: typer.echo(f"mibvh: {what} ...", err=True))
+
+
+def _show(bar: Any, task: Any, what: str = "") -> Callable[[str, float], None]:
     """Show stages on a bar. Each has a time of its own: the last one's tells nothing of it."""
 
     def show(stage: str, done: float) -> None:
-        if bar.tasks[task].description != stage:
-            bar.reset(task, description=stage)
+        words = f"{what}: {stage}" if what else stage
+        if bar.tasks[task].description != words:
+            bar.reset(task, description=words)
         bar.update(task, completed=done)
 
     return show
@@ -90,7 +132,8 @@ def _load(source: str, define: list[str] | None = None) -> Any:
     """Load a scene, and say on standard error what could not be taken over as it is."""
     from mibvh import load
 
-    scene = load(source, _parse_pairs(define or [], "-D"))
+    with _doing(f"loading {source}"):
+        scene = load(source, _parse_pairs(define or [], "-D"))
     for note in scene.notes:
         typer.echo(f"mibvh: {scene.name}: {note}", err=True)
     return scene
@@ -175,7 +218,7 @@ def build_command(
         tree = build(
             loaded,
             builder,
-            progress=_show(bar, task),
+            progress=_show(bar, task, builder),
             **options,
         )
     tree.save(output)
@@ -284,6 +327,57 @@ def triangles_command(
     _print({"triangles": len(triangles), "digest": triangles.digest}, as_json)
 
 
+@app.command("audit")
+def audit_command(
+    scene: SceneArgument,
+    tree: TreeArgument,
+    rays: Annotated[
+        Path | None, typer.Argument(metavar="[RAYS.npz]", help="diffuse rays by default")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="of points and samples")] = 0,
+    define: Define = None,
+    as_json: Json = False,
+) -> None:
+    """Check a tree and its numbers by paths that share no code; exit code 3 if one fails."""
+    from mibvh import RaySet, Tree
+    from mibvh.audit import audit
+
+    loaded = _load(scene, define)
+    with _progress() as bar:
+        task = bar.add_task("audit", total=1.0)
+        found = audit(
+            loaded,
+            Tree.load(tree),
+            RaySet.load(rays) if rays else None,
+            seed=seed,
+            progress=_show(bar, task),
+        )
+    if as_json:
+        typer.echo(json.dumps({**dataclasses.asdict(found), "passed": found.passed}))
+    else:
+        _print_audit(found)
+    if not found.passed:
+        raise typer.Exit(AUDIT_FAILED)
+
+
+def _print_audit(found: Any) -> None:
+    """Print the checks as a table, failures in red."""
+    table = Table(box=None)
+    for heading in ("check", "", "value", "expected", "within", "compared"):
+        table.add_column(heading)
+    for check in found.checks:
+        table.add_row(
+            check.name,
+            "passed" if check.passed else "FAILED",
+            f"{check.value:.6g}",
+            f"{check.expected:.6g}",
+            f"{check.tolerance:.3g}",
+            check.detail,
+            style=None if check.passed else "red",
+        )
+    Console().print(table)
+
+
 @app.command()
 def rays(
     scene: SceneArgument,
@@ -294,21 +388,31 @@ def rays(
     samples: Annotated[int, typer.Option(help="paths per pixel")] = 4,
     bounces: Annotated[int, typer.Option(help="diffuse rays per path, at most")] = 1,
     seed: Annotated[int, typer.Option(help="of the random numbers")] = 0,
+    kind: Annotated[
+        str, typer.Option(help="diffuse, primary, shadow, ao, or bounce2, shadow2, ...")
+    ] = "diffuse",
     define: Define = None,
     as_json: Json = False,
 ) -> None:
-    """Path-trace diffuse rays with Mitsuba and save them."""
-    from mibvh import diffuse_rays
+    """Path-trace diffuse rays, or others from the same paths, with Mitsuba and save them."""
+    from mibvh import diffuse_rays, make_rays
 
+    if kind != "diffuse" and bounces != 1:
+        raise MibvhError("--bounces is for diffuse rays; name a later vertex as in shadow2")
     loaded = _load(scene, define)
+    how: dict[str, Any] = {
+        "viewpoints": viewpoints, "width": width, "height": height, "samples": samples,
+        "seed": seed,
+    }  # fmt: skip
     with _progress() as bar:
         task = bar.add_task("rays", total=1.0)
-        found = diffuse_rays(
-            loaded, viewpoints=viewpoints, width=width, height=height, samples=samples,
-            bounces=bounces, seed=seed, progress=lambda done: bar.update(task, completed=done),
-        )  # fmt: skip
+        how["progress"] = lambda done: bar.update(task, completed=done)
+        if kind == "diffuse":
+            found = diffuse_rays(loaded, bounces=bounces, **how)
+        else:
+            found = make_rays(loaded, kind, **how)
     found.save(output)
-    per_bounce = {int(b): int((found.bounce == b).sum()) for b in range(1, bounces + 1)}
+    per_bounce = {int(b): int((found.bounce == b).sum()) for b in sorted(set(found.bounce))}
     _print({"rays": len(found), **found.meta, "rays_per_bounce": per_bounce}, as_json)
 
 
@@ -330,14 +434,15 @@ def trace(
     as_json: Json = False,
 ) -> None:
     """Trace rays through a tree: hits, exact counters, kernel time."""
-    from mibvh import RaySet, Tree
+    from mibvh import Tree, read_rays
     from mibvh.traversal.trace import trace as run
 
     triangles = _load(scene, define).triangles
-    hits = run(
-        Tree.load(tree), triangles, RaySet.load(rays), lanes,  # type: ignore[arg-type]
-        style=style, cull=cull, any_hit=any_hit, repeats=repeats,
-    )  # fmt: skip
+    with _doing("tracing"):
+        hits = run(
+            Tree.load(tree), triangles, read_rays(rays), lanes,  # type: ignore[arg-type]
+            style=style, cull=cull, any_hit=any_hit or None, repeats=repeats,
+        )  # fmt: skip
     if output:
         hits.save(output)
     _print(hits.summary(), as_json)
@@ -446,10 +551,22 @@ def study(
     if as_json:
         rows = json.loads(result.table.to_json(orient="records"))
         r = json.loads(result.correlations.to_json(orient="records"))
-        last = {"event": "result", "report": str(result.report), "trees": rows, "correlations": r}
+        failed = [
+            {"scene": scene, "tree": tree, **dataclasses.asdict(check)}
+            for scene, tree, check in result.failures
+        ]
+        last = {
+            "event": "result",
+            "report": str(result.report),
+            "trees": rows,
+            "correlations": r,
+            "audit_failures": failed,
+        }
         typer.echo(json.dumps(last))
-        return
-    _print_study(result)
+    else:
+        _print_study(result)
+    if result.failures:
+        raise typer.Exit(AUDIT_FAILED)
 
 
 def _print_study(result: Any) -> None:
@@ -470,6 +587,14 @@ def _print_study(result: Any) -> None:
         values = [f"{row[c]:.3f}" if row[c] == row[c] else "–" for c in ("mean", "min", "max")]
         table.add_row(measurement, predictor, *values, str(int(row["scenes"])))
     console.print(table)
+    for scene, tree, check in result.failures:
+        console.print(
+            Text(
+                f"audit FAILED: {scene}, {tree}: {check.name} is {check.value:.6g}, expected "
+                f"{check.expected:.6g} within {check.tolerance:.3g} ({check.detail})",
+                style="red",
+            )
+        )
     console.print(f"\nreport: {result.report}", soft_wrap=True)
 
 
@@ -478,10 +603,10 @@ def report(
     folder: Annotated[Path, typer.Argument(help="of a study")], as_json: Json = False
 ) -> None:
     """Remake a study's tables and report without measuring again."""
-    from mibvh.studies.run import read_study, write_outputs
+    from mibvh.studies.run import remake_report
 
-    found = read_study(folder)
-    write_outputs(found.folder, found.scenes)
+    with _doing("writing the report"):
+        found = remake_report(folder)
     _print({"report": str(found.report), "scenes": len(found.scenes)}, as_json)
 
 
@@ -526,6 +651,21 @@ def predictors(as_json: Json = False) -> None:
     for one in known():
         table.add_row(one.name, one.formula, one.free)
     Console().print(table)
+
+
+@app.command()
+def notebooks(
+    output: Annotated[Path, typer.Option("-o", "--output", help="folder to copy them into")],
+    as_json: Json = False,
+) -> None:
+    """Copy the notebooks, which come with mibvh, to where they can be run."""
+    from mibvh.bundled import copy_notebooks
+
+    copied = [str(path) for path in copy_notebooks(output)]
+    if as_json:
+        typer.echo(json.dumps({"notebooks": copied}))
+        return
+    typer.echo("\n".join(copied))
 
 
 @app.command()
@@ -604,10 +744,11 @@ def scenes_make(
 
     made = {}
     for name in names or list(scenes_package().CATALOGUE):
-        if output is None:
-            made[name] = str(bundled_scene(name, triangles, seed))
-        else:
-            made[name] = str(make_scene(name, output / name, triangles, seed))
+        with _doing(f"making {name}"):
+            if output is None:
+                made[name] = str(bundled_scene(name, triangles, seed))
+            else:
+                made[name] = str(make_scene(name, output / name, triangles, seed))
         if not as_json:
             typer.echo(made[name])
     if as_json:
@@ -626,15 +767,27 @@ def scenes_show(
     from mibvh.picture import picture, png
 
     scene = _load(name, define)
-    with atomic_path(output) as path:
+    with _doing("rendering"), atomic_path(output) as path:
         path.write_bytes(png(picture(scene)))
     _print(
         {"scene": scene.name, "triangles": len(scene.triangles), "picture": str(output)}, as_json
     )
 
 
+def _keep_stdout_for_results() -> None:
+    """Send what Mitsuba's log writes to standard output to standard error instead.
+
+    The log writes to the file descriptor; results go where it pointed before.
+    """
+    sys.stdout.flush()
+    results = os.dup(1)
+    os.dup2(2, 1)
+    sys.stdout = os.fdopen(results, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)
+
+
 def main() -> None:
     """Entry point of the ``mibvh`` command."""
+    _keep_stdout_for_results()
     try:
         app()
     except MibvhError as error:
@@ -642,6 +795,20 @@ def main() -> None:
             traceback.print_exception(error)
         sys.stderr.write(f"mibvh: {error}\n")
         raise SystemExit(2) from None
+    except OSError as error:
+        if os.environ.get("MIBVH_DEBUG"):
+            traceback.print_exception(error)
+        _say_refused(error)
+        raise SystemExit(2) from None
+
+
+def _say_refused(error: OSError) -> None:
+    """Say what the system refused: without a name, that is standard output."""
+    said = f"{error.filename}:" if error.filename else "standard output: cannot be written"
+    with contextlib.suppress(OSError):  # standard error may be full too
+        sys.stderr.write(f"mibvh: {said} ({error.strerror or error})\n")
+    with contextlib.suppress(OSError, ValueError):  # Python would try it again, and complain
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

@@ -63,15 +63,14 @@ def doctor() -> dict[str, Any]:
         ``ready`` (bool), ``llvm`` and ``cuda`` (whether Dr.Jit can use them), ``advice`` (what
         to install, in sentences), and the :func:`environment` if there is a usable backend.
     """
-    import drjit as dr
-
     from mibvh.errors import MibvhError
-    from mibvh.variant import LLVM_HINT
+    from mibvh.llvm import choose_llvm
+
+    choose_llvm()
+    import drjit as dr
 
     llvm, cuda = dr.has_backend(dr.JitBackend.LLVM), dr.has_backend(dr.JitBackend.CUDA)
     found: dict[str, Any] = {"ready": llvm or cuda, "llvm": llvm, "cuda": cuda, "advice": []}
-    if not llvm:
-        found["advice"].append(f"no usable LLVM: {LLVM_HINT}")
     try:
         found["environment"] = environment()
     except MibvhError as error:

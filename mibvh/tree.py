@@ -12,13 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.files import read_arrays, write_arrays
+from mibvh.files import checksum, read_arrays, write_arrays
+from mibvh.nodes import MAX_DEPTH
 from mibvh.triangles import F32, F64, I32, Triangles
 
-#: Inner nodes on a path; the traversal stack holds as many entries.
-MAX_DEPTH = 64
-#: Deeper trees are refused altogether: exact EPO takes memory by the square of the depth.
-DEEPEST = 1024
+__all__ = ["MAX_DEPTH", "Tree"]
+
 _ARRAYS = ("lower", "upper", "left", "first", "count", "references")
 
 
@@ -154,6 +153,12 @@ class Tree:
         """Whether some triangle has more than one reference."""
         return len(self.references) > self.triangle_count
 
+    @functools.cached_property
+    def digest(self) -> str:
+        """SHA-256 of the tree and its cost constants: what is computed from it goes by this."""
+        costs = {name: self.meta.get(name) for name in ("c_inner", "c_tri")}
+        return checksum({name: getattr(self, name) for name in _ARRAYS}, costs)
+
     def stats(self) -> dict[str, Any]:
         """Counts of nodes, leaves and references, leaf sizes, depth and bytes."""
         self.check()
@@ -248,11 +253,13 @@ class Tree:
         >>> mibvh.Tree.from_arrays(*boxes, left=[1, -1, -2], right=[2, 0, 0])
         Tree('imported', 2 triangles, 3 nodes, depth 1)
         """
-        from mibvh.layouts.arrays import from_arrays
+        from mibvh.layouts.arrays import renumbered
 
-        return from_arrays(
-            lower, upper, left, right, first, count, references, root=root, name=name
+        tree = cls(
+            *renumbered(lower, upper, left, right, first, count, references, root=root, name=name)
         )
+        tree.check()
+        return tree
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays for another program: what :meth:`from_arrays` takes, by name.
@@ -265,6 +272,7 @@ class Tree:
         """
         from mibvh.layouts.arrays import to_arrays
 
+        self.check()
         return to_arrays(self)
 
     # ------------------------------------------------------------ files
@@ -318,6 +326,21 @@ class Tree:
             that :meth:`validate` finds.
         """
         self.check()
+        self.check_built_for(triangles)
+        if triangles.digest not in self._sound:
+            from mibvh.validation import geometry_faults
+
+            self._refuse(geometry_faults(self, triangles))
+            self._sound.add(triangles.digest)
+
+    def check_built_for(self, triangles: Triangles) -> None:
+        """Refuse triangles that this tree was not built for, by what it says of them.
+
+        Raises
+        ------
+        MibvhError
+            If the recorded digest or number of triangles does not fit.
+        """
         digest, count = self.meta.get("digest"), self.meta.get("triangles")
         if (digest or triangles.digest) != triangles.digest or (count or len(triangles)) != len(
             triangles
@@ -327,11 +350,6 @@ class Tree:
                 f"{self.meta.get('triangles', '?')} triangles) was built for another geometry "
                 f"than {triangles.name} ({len(triangles)} triangles)"
             )
-        if triangles.digest not in self._sound:
-            from mibvh.validation import geometry_faults
-
-            self._refuse(geometry_faults(self, triangles))
-            self._sound.add(triangles.digest)
 
     def check(self) -> None:
         """Refuse a tree that is not sound, as far as can be told without its triangles.

@@ -8,13 +8,14 @@ import re
 from typing import Any
 
 from mibvh.errors import MibvhError
+from mibvh.llvm import choose_llvm
 from mibvh.parallel import thread_count
 
 DEFAULT = "llvm_ad_rgb"
 #: What to do where Dr.Jit finds no LLVM.
 LLVM_HINT = (
-    "install LLVM 15 or newer (Debian, Ubuntu: apt install libllvm19; macOS: brew install llvm), "
-    "or point DRJIT_LIBLLVM_PATH at its libLLVM; `mibvh doctor` tells what is found"
+    "install LLVM 15 or newer (Debian, Ubuntu: apt install libllvm19; macOS: brew install llvm; "
+    "without root: pip install 'mibvh[llvm]'), or point DRJIT_LIBLLVM_PATH at its libLLVM"
 )
 
 
@@ -29,6 +30,7 @@ def mitsuba() -> Any:
     MibvhError
         For a ``scalar_*`` variant, or where the LLVM or CUDA library cannot be used.
     """
+    choose_llvm()
     import mitsuba as mi
 
     if mi.variant() is None:
@@ -38,7 +40,10 @@ def mitsuba() -> Any:
                 f"MIBVH_VARIANT: this Mitsuba has no variant {wanted!r}; it has: "
                 f"{', '.join(mi.variants())}"
             )
-        mi.set_variant(wanted)
+        try:
+            mi.set_variant(wanted)
+        except ImportError:  # what Dr.Jit raises without its library
+            raise MibvhError(f"the variant {wanted} cannot be used: {_hint(wanted)}") from None
     if mi.variant().startswith("scalar"):
         raise MibvhError(
             f"mibvh traces rays with Dr.Jit, which the variant {mi.variant()} does not use; "
@@ -55,10 +60,13 @@ def _prepare(backend: str) -> None:
 
     jit = dr.JitBackend.LLVM if backend == "llvm" else dr.JitBackend.CUDA
     if not dr.has_backend(jit):
-        hint = LLVM_HINT if backend == "llvm" else "an NVIDIA driver is needed"
-        raise MibvhError(f"Dr.Jit cannot use its {backend.upper()} backend: {hint}")
+        raise MibvhError(f"Dr.Jit cannot use its {backend.upper()} backend: {_hint(backend)}")
     if "MIBVH_THREADS" in os.environ:
         dr.set_thread_count(thread_count())
+
+
+def _hint(variant: str) -> str:
+    return LLVM_HINT if variant.startswith("llvm") else "an NVIDIA driver is needed"
 
 
 def give_back_memory() -> None:

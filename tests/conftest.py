@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -18,8 +19,24 @@ def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ["MIBVH_CACHE"] = str(tmp_path_factory.mktemp("cache"))
 
 
+#: Files of slow tests, and what else makes a test slow: whole studies. All others are fast.
+SLOW_FILES = {
+    "test_cli", "test_cluster", "test_cluster_faults", "test_embree", "test_experiments",
+    "test_faults", "test_fuzz_meshes", "test_fuzz", "test_hostile_study", "test_notebooks",
+    "test_parallel", "test_plugins", "test_report_browser", "test_scenes_bundled", "test_study",
+    "test_study_killed", "test_traversal_styles", "test_traversal_warp",
+}  # fmt: skip
+SLOW_FIXTURES = {"small_study"}
+
+
+@pytest.hookimpl(tryfirst=True)  # before those that are not asked for are left out
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave tests marked ``cuda`` out where there is no device to run them on."""
+    """Mark tests as fast or slow; leave ``cuda`` out where there is no device to run them on."""
+    for item in items:
+        slow = item.path.stem in SLOW_FILES or SLOW_FIXTURES & set(
+            getattr(item, "fixturenames", ())
+        )
+        item.add_marker("slow" if slow else "fast")
     marked = [item for item in items if item.get_closest_marker("cuda")]
     if not marked:
         return
@@ -28,6 +45,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if not dr.has_backend(dr.JitBackend.CUDA):
         config.hook.pytest_deselected(items=marked)
         items[:] = [item for item in items if item not in marked]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _short_launches() -> Iterator[None]:
+    """The stopwatch takes launches of any length: no test asks how well times are known."""
+    from mibvh.studies.measure import times
+
+    saved, times.SHORTEST = times.SHORTEST, 1e-4
+    yield
+    times.SHORTEST = saved
 
 
 def soup(count: int, seed: int = 0, size: float = 0.1) -> mibvh.Triangles:
@@ -82,6 +109,7 @@ def scene_record(trees: list[TreeRow], name: str = "one", triangles: int = 100) 
     return SceneRecord(
         scene=name, triangles=triangles, digest="", notes=[], rays=RayFacts(9, "", 1, 0, {}),
         timing={}, trees=trees, options=StudyOptions(), environment={}, picture="", seconds={},
+        reused={}, code="",
     )  # fmt: skip
 
 

@@ -62,6 +62,32 @@ def test_the_whole_path(cli, tmp_path):
     assert wide["wide_counted_cost"] != traced["counted_cost"]
 
 
+def test_other_kinds_of_rays_and_rays_of_ones_own(cli, tmp_path):
+    """Shadow rays end at any hit; plain arrays are traced like ray sets."""
+    scene, small = "cornell@3000", ("--width", 16, "--height", 12, "--json")
+    tree, rays, plain = (tmp_path / name for name in ("t.npz", "r.npz", "r.npy"))
+    cli("build", scene, "-o", tree)
+    code, out, _ = cli("rays", scene, "-o", rays, "--kind", "shadow", *small)
+    made = json.loads(out)
+    assert code == 0
+    assert (made["kind"], made["occlusion"]) == ("shadow", True)
+    shadow = mibvh.read_rays(rays)
+    np.save(plain, np.concatenate([shadow.o, shadow.d], axis=1))
+    costs = []
+    for file in (rays, plain):
+        code, out, _ = cli("trace", scene, tree, file, "--repeats", 1, "--json")
+        costs.append(json.loads(out)["inner_per_ray"])
+    assert costs[0] < costs[1]
+    hits = mibvh.trace(mibvh.Tree.load(tree), mibvh.load(scene), shadow, any_hit=True, repeats=1)
+    assert costs[0] == pytest.approx(hits.inner.mean())
+    code, out, err = cli("rays", scene, "-o", rays, "--kind", "glossy", *small)
+    assert (code, out) == (2, "")
+    assert "there is no kind of rays 'glossy'" in err
+    code, out, err = cli("rays", scene, "-o", rays, "--kind", "ao", "--bounces", 2, *small)
+    assert code == 2
+    assert "--bounces is for diffuse rays" in err
+
+
 def test_a_study_for_machines(cli, tmp_path):
     """JSON lines, the result last; twice the samples are twice the camera rays."""
     code, out, err = cli(
@@ -200,11 +226,23 @@ def test_scenes_make_and_show(cli, tmp_path):
 
 
 def test_a_new_stage_has_time_left():
-    bar = _progress()
-    task = bar.add_task("build", total=1.0)
-    show = _show(bar, task)
-    show("sort", 1.0)
-    assert bar.tasks[task].finished
-    show("split", 0.25)
-    assert not bar.tasks[task].finished
-    assert (bar.tasks[task].description, bar.tasks[task].completed) == ("split", 0.25)
+    with _progress() as bar:
+        task = bar.add_task("build", total=1.0)
+        show = _show(bar, task)
+        show("sort", 1.0)
+        assert bar.tasks[task].finished
+        show("split", 0.25)
+        assert not bar.tasks[task].finished
+        assert (bar.tasks[task].description, bar.tasks[task].completed) == ("split", 0.25)
+
+
+def test_json_is_alone_on_standard_output(tmp_path):
+    """Mitsuba warns of a sphere under an uneven transform, by itself on standard output."""
+    (tmp_path / "oval.xml").write_text(
+        '<scene version="3.0.0"><shape type="sphere"><transform name="to_world">'
+        '<scale x="1" y="2" z="1"/></transform></shape></scene>'
+    )
+    run = [sys.executable, "-m", "mibvh", "build", "oval.xml", "-o", "tree.npz", "--json"]
+    found = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert json.loads(found.stdout)["builder"] == "bbvh"
+    assert "non-uniform scaling" in found.stderr

@@ -28,7 +28,7 @@ def finished(tmp_path_factory, cornell):
     )  # fmt: skip
 
 
-@mibvh.builder("treewise", summary="halves the list of triangles", source="the test")
+@mibvh.builder("treewise", summary="halves the list", source="the test", version="1")
 def treewise(triangles, options, context):
     """Register a builder of the user's own, which the study takes like the others."""
     return np.arange(len(triangles))
@@ -72,7 +72,7 @@ def test_files(finished):
 def test_seconds_are_those_of_the_stages(finished):
     seconds = finished[0].scenes[0].seconds
     assert list(seconds) == [
-        "rays", "trees", "metrics", "counts", "stopwatch", "picture", "depth",
+        "rays", "trees", "metrics", "counts", "audit", "stopwatch", "picture", "depth",
     ]  # fmt: skip
     assert all(spent > 0 for spent in seconds.values())
     built = finished[0].table["build_seconds"].sum()
@@ -218,11 +218,43 @@ def test_standard_error_is_that_of_the_median():
     rng = np.random.default_rng(1)
     found = []
     for _ in range(300):
-        seconds = 1 + 0.02 * rng.normal(size=(25, 4))
-        timings = Timings(seconds, True)
+        kernel, process = 1 + 0.02 * rng.normal(size=(2, 25, 4))
+        timings = Timings({"kernel": kernel, "process": process})
         found.append((timings.estimate[0], timings.relative_error[0]))
     estimates, errors = np.array(found).T
     assert estimates.std() == pytest.approx(errors.mean(), rel=0.35)
+
+
+def test_no_error_is_smaller_than_what_the_same_tree_differed_by():
+    rng = np.random.default_rng(2)
+    seconds = 1 + 0.001 * rng.normal(size=(25, 4))
+    seconds[:, 3] *= 1.05  # the first tree under another name, in a worse place of the memory
+    timings = Timings({"kernel": seconds, "process": seconds}, same=((0, 3),))
+    assert timings.same_tree_differences("kernel") == pytest.approx(0.05, abs=0.002)
+    assert (timings.relative_error >= 0.045).all()
+
+
+def test_rounds_in_runs_of_trouble_count_as_fewer():
+    """Trouble that lasts four rounds makes the error larger than the same trouble scattered."""
+    rng = np.random.default_rng(3)
+    seconds = np.ones((60, 3))
+    slow = np.repeat(rng.random(15) < 0.5, 4)
+    seconds[slow, 0] += 0.02 * rng.random(slow.sum())
+    scattered = seconds[rng.permutation(60)]
+    runs, apart = (Timings({"kernel": s, "process": s}) for s in (seconds, scattered))
+    assert runs.relative_error[0] > apart.relative_error[0]
+
+
+def test_the_clock_that_agrees_with_itself_gives_the_ratios():
+    rng = np.random.default_rng(4)
+    truth = np.array([1.0, 1.1, 1.0])
+    kernel = 3 * truth * (1 + 0.2 * rng.normal(size=(30, 3)))
+    process = truth * (1 + 0.002 * rng.normal(size=(30, 3)))
+    timings = Timings({"kernel": kernel, "process": process}, same=((0, 2),))
+    assert timings.clock == "process"
+    estimate = timings.estimate
+    assert estimate[1] / estimate[0] == pytest.approx(1.1, abs=0.005)
+    assert estimate.mean() == pytest.approx(3 * truth.mean(), rel=0.1)  # the level is the kernel's
 
 
 def test_store_rejects_damage(tmp_path):

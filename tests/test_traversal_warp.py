@@ -1,5 +1,7 @@
 """Warps in lockstep: against the Dr.Jit kernels, and against a literal, slow execution."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from test_traversal import random_rays, ray_set
@@ -24,8 +26,8 @@ def scene(request):
     return loaded.triangles, mibvh.diffuse_rays(loaded, viewpoints=2, width=32, height=24)
 
 
-def kernel_hits(tree, triangles, rays, style="single"):
-    tracer = Tracer(rays, float(unit_scale(triangles)), style=style)
+def kernel_hits(tree, triangles, rays, style="single", any_hit=False):
+    tracer = Tracer(rays, float(unit_scale(triangles)), style=style, any_hit=any_hit)
     return tracer.hits(make_records(tree, triangles))
 
 
@@ -41,8 +43,9 @@ def assert_same(warps, hits, fields=("t", "triangle", *COUNTERS)):
 def test_a_warp_of_one_is_what_is_counted(scene, builder):
     triangles, rays = scene
     tree = mibvh.build(triangles, builder)
-    counted = {style: kernel_hits(tree, triangles, rays, style)
-               for style in ("single", *ALONE.values())}  # fmt: skip
+    counted = {
+        style: kernel_hits(tree, triangles, rays, style) for style in ("single", *ALONE.values())
+    }
     for style in STYLES:
         hits = counted[ALONE.get(style, "single")]
         warps = simulate(tree, triangles, rays, 1, style)
@@ -50,8 +53,9 @@ def test_a_warp_of_one_is_what_is_counted(scene, builder):
         assert warps.cost() == warps.counted_cost() == hits.counted_cost()
         assert warps.utilisation() == 1
         assert warps.lcv == hits.lcv
-    assert_same(simulate(tree, triangles, rays, 1, "speculative", vote=False),
-                counted["speculative"])  # fmt: skip
+    assert_same(
+        simulate(tree, triangles, rays, 1, "speculative", vote=False), counted["speculative"]
+    )
 
 
 @pytest.mark.parametrize("builder", ["bbvh", "sbvh", "streelet"])
@@ -80,6 +84,20 @@ def test_packets_of_the_kernels_issue_what_is_simulated(scene, builder):
         steps = warps.rounds if style == "single" else warps.issued
         assert hits.issued == steps.sum() * lane_width()
         assert_same(warps, hits)
+
+
+@pytest.mark.parametrize("builder", ["bbvh", "sbvh"])
+def test_rays_that_any_hit_ends(scene, builder):
+    triangles, rays = scene
+    tree = mibvh.build(triangles, builder)
+    for style in STYLES:
+        hits = kernel_hits(tree, triangles, rays, ALONE.get(style, "single"), any_hit=True)
+        assert_same(simulate(tree, triangles, rays, 1, style, any_hit=True), hits)
+        wide = simulate(tree, triangles, rays, 32, style, any_hit=True)
+        np.testing.assert_array_equal(wide.triangle >= 0, hits.triangle >= 0)
+        assert wide.tests.sum() < simulate(tree, triangles, rays, 32, style).tests.sum()
+    shadows = dataclasses.replace(rays, meta={**rays.meta, "occlusion": True})
+    assert_same(simulate(tree, triangles, shadows, 32, style), wide)
 
 
 # ------------------------------------------------------------ against a literal execution
@@ -188,8 +206,9 @@ def execute(tree, triangles, rays, width, style, threshold=0, per_lane=1, warps=
             return nodes, max(lengths, default=0)
         holders = [lane for lane in lanes if lane.leaf != DONE]
         while holders:  # while there is a leaf put aside
-            triangles_tested += max(lane.test(lane.leaf, rows, codes, distances)
-                                    for lane in holders)  # fmt: skip
+            triangles_tested += max(
+                lane.test(lane.leaf, rows, codes, distances) for lane in holders
+            )
             for lane in holders:
                 lane.leaf = DONE
                 if DONE < lane.node < 0:
@@ -239,10 +258,15 @@ def execute(tree, triangles, rays, width, style, threshold=0, per_lane=1, warps=
 
 
 @pytest.mark.parametrize("width", [4, 32])
-@pytest.mark.parametrize(("style", "options"), [
-    ("while-while", {}), ("speculative", {}), ("persistent", {"rays_per_lane": 3}),
-    ("persistent", {"rays_per_lane": 4, "warps": 3}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("style", "options"),
+    [
+        ("while-while", {}),
+        ("speculative", {}),
+        ("persistent", {"rays_per_lane": 3}),
+        ("persistent", {"rays_per_lane": 4, "warps": 3}),
+    ],
+)
 @pytest.mark.parametrize("builder", ["bbvh", "sbvh", "streelet"])
 def test_against_a_literal_execution(scene, builder, style, options, width):
     triangles, rays = scene
@@ -252,9 +276,15 @@ def test_against_a_literal_execution(scene, builder, style, options, width):
     scaled = ray_set(rays.o * scale, rays.d)
     threshold = {4: 3, 32: 20}[width] if style == "persistent" else 0
     issued, counts, hits = execute(
-        tree, triangles, scaled, width, style, threshold,
-        options.get("rays_per_lane", 1), options.get("warps", 1),
-    )  # fmt: skip
+        tree,
+        triangles,
+        scaled,
+        width,
+        style,
+        threshold,
+        options.get("rays_per_lane", 1),
+        options.get("warps", 1),
+    )
     warps = simulate(tree, triangles, rays, width, style, **options)
     assert warps.threshold == threshold
     # Grazing a box, a direction scaled by a power of two rounds as the unscaled one does.
@@ -279,6 +309,14 @@ def test_any_number_of_threads_gives_the_same(small, style):
     for threads in (2, 3, 7):
         more = simulate(*small, 8, style, rays_per_lane=3, threads=threads)
         assert_same(more, one, ("t", "triangle", *COUNTERS, "issued", "rounds"))
+
+
+def test_maxima_are_those_of_packets_as_dealt(small):
+    warps = simulate(*small, 8, "single", order="random")
+    steps = (warps.inner + warps.tests)[warps.dealt].reshape(-1, 8)
+    np.testing.assert_array_equal(warps.maxima(warps.inner + warps.tests), steps.max(axis=1))
+    # In a single loop all wait for the longest.
+    np.testing.assert_array_equal(warps.rounds, steps.max(axis=1))
 
 
 @pytest.mark.parametrize("style", STYLES)
@@ -310,12 +348,14 @@ def test_fetching_rays_keeps_lanes_busier(scene):
     assert (fetching.threshold, waiting.threshold) == (20, 0)
 
 
-def test_without_the_vote_rounds_are_fewer(scene):
+def test_without_the_vote_rounds_are_fewer_and_longer(scene):
     triangles, rays = scene
     tree = mibvh.build(triangles, "bbvh")
     voting = simulate(tree, triangles, rays, 32, "speculative")
     not_voting = simulate(tree, triangles, rays, 32, "speculative", vote=False)
     assert not_voting.rounds.sum() < voting.rounds.sum()
+    # What a lane visits is then no other lane's business, as in the Dr.Jit kernel.
+    assert_same(not_voting, kernel_hits(tree, triangles, rays, "speculative"))
 
 
 def test_orders(small_soup):
@@ -327,8 +367,9 @@ def test_orders(small_soup):
     again = simulate(tree, small_soup, rays.select(shuffled.dealt), 8, "speculative")
     np.testing.assert_array_equal(shuffled.issued, again.issued)
     np.testing.assert_array_equal(shuffled.t[shuffled.dealt], again.t)
-    assert (simulate(tree, small_soup, rays, 8, order="random", seed=2).dealt
-            != shuffled.dealt).any()  # fmt: skip
+    assert (
+        simulate(tree, small_soup, rays, 8, order="random", seed=2).dealt != shuffled.dealt
+    ).any()
 
 
 def test_morton_order_is_that_of_sorted_rays(cornell):
@@ -338,8 +379,9 @@ def test_morton_order_is_that_of_sorted_rays(cornell):
     sorted_now = simulate(tree, cornell, paths, 32, order="morton")
     np.testing.assert_array_equal(paths.o[sorted_now.dealt], stored.o)
     np.testing.assert_array_equal(simulate(tree, cornell, stored, 32).issued, sorted_now.issued)
-    np.testing.assert_array_equal(simulate(tree, cornell, paths, order="path").dealt,
-                                  np.arange(len(paths)))  # fmt: skip
+    np.testing.assert_array_equal(
+        simulate(tree, cornell, paths, order="path").dealt, np.arange(len(paths))
+    )
     with pytest.raises(mibvh.MibvhError, match="sort=False"):
         simulate(tree, cornell, stored, order="path")
 
@@ -348,11 +390,8 @@ def test_morton_order_is_that_of_sorted_rays(cornell):
 def test_a_tree_that_is_one_leaf_and_rays_that_are_no_rays(style):
     one = mibvh.Triangles(np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], np.float32))
     tree = mibvh.build(one, "bbvh")
-    rays = ray_set(
-        [[0.2, 0.2, -1], [0, 0, 0], [0.9, 0.9, -1], [0.2, 0.2, -1]],
-        [[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 0, 1]],
-    )
-    rays.o[1, 0], rays.d[3] = np.nan, 0  # a ray set is not made of such rays
+    rays = ray_set([[0.2, 0.2, -1], [0, 0, 0], [0.9, 0.9, -1], [0.2, 0.2, -1]], [[0, 0, 1]] * 4)
+    rays.o[1], rays.d[3] = np.nan, 0  # a ray set is not made of such rays
     for width in (1, 2, 4):
         warps = simulate(tree, one, rays, width, style)
         assert warps.t.tolist() == [1, np.inf, np.inf, np.inf]
@@ -364,7 +403,7 @@ def test_a_tree_that_is_one_leaf_and_rays_that_are_no_rays(style):
 
 def test_only_rays_that_are_no_rays(small):
     tree, triangles, _ = small
-    rays = ray_set(np.ones((100, 3)), np.ones((100, 3)))
+    rays = random_rays(100)
     rays.o[:] = np.nan
     warps = simulate(tree, triangles, rays, 8)
     assert (warps.cost(), warps.utilisation()) == (0, 1)
@@ -373,11 +412,14 @@ def test_only_rays_that_are_no_rays(small):
 def test_impossible_requests(small):
     tree, triangles, rays = small
     for options, message in [
-        ({"width": 3}, "width must be one of"), ({"style": "packet"}, "style must be one of"),
-        ({"order": "sorted"}, "order must be one of"), ({"fetch_below": 0}, "fetch_below"),
-        ({"warps": 0}, "warps"), ({"rays_per_lane": 0}, "rays_per_lane"),
+        ({"width": 3}, "width must be one of"),
+        ({"style": "packet"}, "style must be one of"),
+        ({"order": "sorted"}, "order must be one of"),
+        ({"fetch_below": 0}, "fetch_below"),
+        ({"warps": 0}, "warps"),
+        ({"rays_per_lane": 0}, "rays_per_lane"),
         ({"style": "single", "vote": True}, "nothing to vote on"),
-    ]:  # fmt: skip
+    ]:
         with pytest.raises(mibvh.MibvhError, match=message):
             simulate(tree, triangles, rays, **options)
     with pytest.raises(mibvh.MibvhError, match="no rays"):

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-import hashlib
 import importlib
-import inspect
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mibvh.builders.draft import Draft
 from mibvh.builders.finish import finish
+from mibvh.code import code_digest
 from mibvh.errors import MibvhError, did_you_mean
 from mibvh.measures import Area, Measure
 from mibvh.tree import Tree
@@ -131,6 +128,9 @@ class Builder:
     function : callable
         ``function(triangles, options, context)`` returning a :class:`Draft`, or nested
         pairs of triangle ids (see :meth:`Draft.from_nested`).
+    version : str or None
+        Of a user's builder, if it declares one: a study keeps its trees while this is the same,
+        and builds them anew in every run where there is none.
     """
 
     name: str
@@ -138,28 +138,22 @@ class Builder:
     source: str
     options: type[Options]
     function: BuildFunction
+    version: str | None = None
 
     def draft(self, triangles: Any, options: Options, context: Context) -> Draft:
         """Run the builder proper, without the shared finishing."""
         result = self.function(triangles, options, context)
         return result if isinstance(result, Draft) else Draft.from_nested(result, triangles)
 
-    def fingerprint(self) -> str:
-        """Hash of the builder's code: a tree kept for an older version of it is not this one's."""
+    def code(self) -> str | None:
+        """What stands for the builder's code in the key of a kept tree; None if nothing does.
+
+        The code of a builder of this package can be followed. What a user's own reads, calls or
+        imports cannot: its author says by a version when its trees change.
+        """
         if self.name in _BUNDLED or self.name in _LATER:
-            package = Path(__file__).parent.parent
-            files = sorted(
-                f for room in ("builders", "measures") for f in (package / room).glob("*.py")
-            )
-            text = b"".join(path.read_bytes() for path in files)
-        else:
-            source = inspect.getsourcefile(self.function)
-            text = (
-                Path(source).read_bytes()
-                if source and Path(source).exists()
-                else (self.function.__code__.co_code)
-            )
-        return hashlib.sha256(text).hexdigest()
+            return code_digest("mibvh.builders.registry")
+        return self.version
 
     def describe(self) -> dict[str, Any]:
         """Return a JSON-able description with the options' defaults and ranges."""
@@ -202,7 +196,12 @@ _registered: dict[str, Builder] = {}
 
 
 def builder(
-    name: str, *, summary: str = "", source: str = "", options: type[Options] = Options
+    name: str,
+    *,
+    summary: str = "",
+    source: str = "",
+    options: type[Options] = Options,
+    version: str | None = None,
 ) -> Callable[[BuildFunction], BuildFunction]:
     """Register a builder; the study and the command line take it like the paper's own.
 
@@ -215,6 +214,9 @@ def builder(
     options : type
         A frozen, keyword-only dataclass that inherits from :class:`Options`, each field from
         :func:`option`.
+    version : str, optional
+        To be changed with everything that changes the builder's trees: a study keeps trees of a
+        builder with a version, and builds those of one without in every run.
 
     Returns
     -------
@@ -236,7 +238,7 @@ def builder(
     """
 
     def register(function: BuildFunction) -> BuildFunction:
-        _registered[name] = Builder(name, summary, source, options, function)
+        _registered[name] = Builder(name, summary, source, options, function, version)
         return function
 
     return register
@@ -278,12 +280,18 @@ def get(name: str) -> Builder:
     return _registered[name]
 
 
-@functools.cache
-def _warm_up(name: str) -> None:
-    """Run a builder of ours once on next to nothing.
+#: Builders that have run in this process, so that nothing of theirs is left to compile.
+_warm: set[str] = set()
+
+
+def _warm_up(name: str, progress: Callable[[str, float], None]) -> None:
+    """Run one of the paper's builders once on next to nothing.
 
     So the seconds reported for a tree hold no compilation, nor the loading of compiled code.
     """
+    if name in _warm:
+        return
+    progress("compiling", 0.0)
     if name in _BUNDLED or name in _LATER:
         corners = np.random.default_rng(0).random((24, 3, 3))
         triangles = Triangles(corners.astype(np.float32), "warm-up")
@@ -291,6 +299,7 @@ def _warm_up(name: str) -> None:
         chosen = entry.options()
         draft = entry.draft(triangles, chosen, Context())
         finish(draft, c_inner=1.2, c_tri=1.0, max_leaf=8, meta={"triangles": len(triangles)})
+    _warm.add(name)
 
 
 def _over_parts(entry: Builder, triangles: Triangles, options: Options, context: Context) -> Draft:
@@ -346,7 +355,8 @@ def build(
         )
     chosen = entry.options(**options)
     context = Context(progress or Context.progress, measure or _AREA, source)
-    _warm_up(builder)
+    _warm_up(builder, context.progress)
+    context.progress("building", 0.0)
     started = time.perf_counter()
     if chosen.presplit > 0:
         draft = _over_parts(entry, triangles, chosen, context)

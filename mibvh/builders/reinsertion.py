@@ -28,7 +28,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from mibvh._jit import njit
+from mibvh._jit import in_parallel, njit
 from mibvh.builders.draft import Draft
 from mibvh.builders.registry import Context, Options, builder, option
 from mibvh.builders.rotations import _fit, _union_area, box_area, depth_first, judged
@@ -190,7 +190,7 @@ def _pass(measure: Any, share: float, left: Any, right: Any, box: Any) -> int:
     nodes = nodes[largest].astype(np.int32)
     if len(nodes) == 0:
         return 0
-    places, gains = _find_all(measure, nodes, left, right, parent, box, cost, depth)
+    places, gains = in_parallel(_find_all, measure, nodes, left, right, parent, box, cost, depth)
     worth = np.flatnonzero((places >= 0) & (gains > _LEAST * cost[0]))
     worth = worth[np.argsort(-gains[worth], kind="stable")]
     touched = np.zeros(len(left), np.bool_)

@@ -29,7 +29,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from mibvh._jit import njit
+from mibvh._jit import in_parallel, njit
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.measured import cost_of
 from mibvh.builders.radix import argsort_keys, float_keys
@@ -399,7 +399,7 @@ def bbvh(triangles: Triangles, options: Options, context: Context) -> Draft:
     refs = References.of(triangles)
     lists = np.empty((6 * len(refs), 8), np.float32)
     context.progress("sort", 0.0)
-    sort_axes(refs.lower, refs.upper, lists)
+    in_parallel(sort_axes, refs.lower, refs.upper, lists)
     links = tuple(np.empty(2 * len(refs) - 1, np.int32) for _ in range(3))
     _build(context.compiled_measure(refs.scale), lists, links, context)
     return Draft(refs, *links)

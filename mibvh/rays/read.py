@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +50,7 @@ def read_rays(path: str | os.PathLike[str]) -> RaySet:
         raise MibvhError(f"{path}: rays are read from {', '.join(readers)} files")
     try:
         return read(path)
-    except (OSError, ValueError, EOFError, KeyError, IndexError, zipfile.BadZipFile) as error:
+    except Exception as error:  # NumPy's and zipfile's readers raise whatever theirs raise
         reason = " ".join(str(error).split()) or type(error).__name__
         if reason.startswith(str(path)):
             raise MibvhError(reason) from None
@@ -59,7 +58,7 @@ def read_rays(path: str | os.PathLike[str]) -> RaySet:
 
 
 def _read_npz(path: Path) -> RaySet:
-    with np.load(path, allow_pickle=False) as data:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
         if "header" in data.files:
             return RaySet.load(path)
         missing = [name for name in ("o", "d") if name not in data.files]
@@ -70,7 +69,8 @@ def _read_npz(path: Path) -> RaySet:
 
 
 def _read_npy(path: Path) -> RaySet:
-    rows = np.load(path, allow_pickle=False)
+    with path.open("rb") as file:
+        rows = np.load(file, allow_pickle=False)
     if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.shape[1] != 6:
         raise MibvhError(f"rays need an array of shape (R, 6), not {np.shape(rows)}")
     return RaySet(rows[:, :3], rows[:, 3:], meta={"file": path.name})
@@ -92,10 +92,23 @@ def _columns(points: dict[str, npt.NDArray[Any]], names: Any) -> npt.NDArray[Any
 
 
 _TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
-    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
-    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
-}  # fmt: skip
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 

@@ -57,6 +57,9 @@ def calibrate(records: Records, target: str = "scalar_ns") -> StepCosts:
     """
     from scipy import optimize  # a second to import
 
+    records = [record for record in records if record.knows(target)]
+    if not records:
+        return StepCosts(trees=0)
     x = np.concatenate([_steps(record) for record in records])
     y = np.concatenate([record.column(target) for record in records])
     x /= y[:, None]  # relative errors count
@@ -115,6 +118,7 @@ def other_constants(records: Records, target: str) -> pd.DataFrame:
         Columns ``constants, c_inner, sah`` and ``fitted`` (mean Pearson r over the scenes).
     """
     own = calibrate(records, target).c_inner
+    records = [record for record in records if record.knows(target)]
     rows = []
     for name, c_inner in {"paper": 1.2, "equal": 1.0, "two boxes": 2.0, "calibrated": own}.items():
         if not np.isfinite(c_inner):
@@ -125,7 +129,8 @@ def other_constants(records: Records, target: str) -> pd.DataFrame:
             measured = record.column(target)
             alpha = fit_alpha(sah, epo, measured)
             found.append((pearson(sah, measured), pearson(predict(sah, epo, alpha), measured)))
-        alone, both = pd.DataFrame(found).mean()  # of the scenes that have one
+        # Of the scenes that have one.
+        alone, both = pd.DataFrame(found, columns=["sah", "fitted"], dtype=np.float64).mean()
         rows.append({"constants": name, "c_inner": c_inner, "sah": alone, "fitted": both})
     return pd.DataFrame(rows)
 

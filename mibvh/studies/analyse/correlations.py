@@ -16,6 +16,20 @@ from mibvh.studies.record.scene import Records, samples
 from mibvh.triangles import F64
 
 _NONE = float("nan")
+_NO_AGREEMENT: dict[str, float] = dict.fromkeys(
+    (
+        "alpha",
+        "pearson",
+        "spearman",
+        "kendall",
+        "without_worst",
+        "worst_error",
+        "held_out",
+        "low",
+        "high",
+    ),
+    _NONE,
+) | {"trees": 0}
 
 
 class LaneMode(NamedTuple):
@@ -41,7 +55,8 @@ LANES = (SCALAR, SIMD)
 
 def worst_error(records: Records, quantity: str) -> float:
     """Largest relative standard error of a time, such as ``scalar_error``."""
-    return max(float(record.column(quantity).max()) for record in records)
+    known = (float(record.column(quantity).max()) for record in records if record.knows(quantity))
+    return max(known, default=_NONE)
 
 
 def correlations(records: Records) -> pd.DataFrame:
@@ -60,19 +75,27 @@ def correlations(records: Records) -> pd.DataFrame:
 
 
 def _of_target(records: Records, target: Quantity) -> Iterator[dict[str, float | str]]:
-    known = samples(records, target.name)
-    for i, (record, sample) in enumerate(zip(records, known, strict=True)):
+    timed = [record for record in records if record.knows(target.name)]
+    known = samples(timed, target.name)
+    place = 0
+    for record in records:
+        name = {"scene": record.scene, "measurement": target.name}
+        # Where the rays are too few to be timed there is nothing to agree with.
+        if not record.knows(target.name):
+            for one in predictors():
+                yield {**name, "predictor": one.name, **_NO_AGREEMENT}
+            continue
+        sample = known[place]
         groups = np.array([tree.cost_groups for tree in record.trees])
         for one in predictors():
             if not one.knows(sample.values):
                 continue
-            weights, values = one(known, i)
+            weights, values = one(known, place)
             low = high = _NONE
             if target.name == "counted_cost":
                 low, high = bootstrap_interval(values, groups)
             yield {
-                "scene": record.scene,
-                "measurement": target.name,
+                **name,
                 "predictor": one.name,
                 "alpha": alpha_of(weights),
                 **agreement(values, sample.measured),
@@ -80,6 +103,7 @@ def _of_target(records: Records, target: Quantity) -> Iterator[dict[str, float |
                 "low": low,
                 "high": high,
             }
+        place += 1
 
 
 def _held_out(one: Predictor, sample: Sample) -> float:

@@ -59,7 +59,7 @@ class RayCounter:
     """
 
     def __init__(self, scene: Scene, rays: RaySet, cull: bool) -> None:
-        self.triangles, self.rays, self.cull = scene.triangles, rays, cull
+        self.scene, self.triangles, self.rays, self.cull = scene, scene.triangles, rays, cull
         self._paths: RayPaths | None = None
 
     @functools.cached_property
@@ -72,6 +72,10 @@ class RayCounter:
         """Where the rays begin."""
         return ray_starts(self.triangles, self.rays)
 
+    def hits(self, tree: Tree) -> Hits:
+        """Trace the rays once, with counters."""
+        return self.tracer.hits(make_records(tree, self.triangles))
+
     def paths(self, hits: Hits) -> RayPaths:
         """Where the rays go; computed anew only where a tree's hits are not those of the last.
 
@@ -83,7 +87,7 @@ class RayCounter:
 
     def __call__(self, tree: Tree) -> Counts:
         """Count the rays in a tree, its point queries at their ends, and their lines."""
-        hits = self.tracer.hits(make_records(tree, self.triangles))
+        hits = self.hits(tree)
         c_inner, c_tri = tree.meta["c_inner"], tree.meta["c_tri"]
         costs = c_inner * hits.inner + c_tri * hits.tests
         group = np.arange(len(self.rays)) % _RAY_GROUPS

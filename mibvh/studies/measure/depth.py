@@ -129,8 +129,8 @@ def depth_experiment(setting: Setting, report: Reporter) -> DepthResult:
     """Cut the trees of a scene."""
     share = 1 / len(setting.trees)
     found = []
-    for i, (key, tree) in enumerate(setting.trees.items()):
-        report.part(share * i, share, setting.options.builders[i])("depth", 0.0)
-        piece = f"depth-{key_of(tree=key, format=2)}"
+    for i, (name, tree) in enumerate(setting.trees.items()):
+        report.part(share * i, share, name)("depth", 0.0)
+        piece = f"depth-{key_of(__name__, tree=tree.digest)}"
         found.append(kept(setting.store, piece, Cuts, functools.partial(cuts, tree)))
     return DepthResult(found)

@@ -12,19 +12,13 @@ import functools
 
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
+from mibvh.studies.measure.audit import Auditor
 from mibvh.studies.measure.counts import RayCounter
 from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import key_of
-from mibvh.studies.measure.times import (
-    TreeTimes,
-    launch_of,
-    portions,
-    run_stopwatch,
-    timed_rays,
-)
+from mibvh.studies.measure.times import Frame, TreeTimes, time_frames
 from mibvh.studies.measure.trees import TreeSource, study_tree
-from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import Result, Timing, TreeRow
 from mibvh.traversal.records import make_records, unit_scale
@@ -63,15 +57,6 @@ class RotationResult(Result, experiment="rotation"):
 
 
 @dataclasses.dataclass(frozen=True)
-class _Frame:
-    """A scene in one orientation."""
-
-    scene: Scene
-    rays: RaySet
-    trees: list[Tree]
-
-
-@dataclasses.dataclass(frozen=True)
 class _SameHits:
     share: float
 
@@ -88,25 +73,33 @@ def rotation_experiment(setting: Setting, report: Reporter) -> RotationResult:
     """Build, judge, count and time the trees of the rotated scene."""
     options, store = setting.options, setting.store
     scene, rays = rotated(setting.scene, setting.rays)
-    rays_key = key_of(rays=setting.rays_key, axis=AXIS, degrees=DEGREES)
     counter = RayCounter(scene, rays, options.cull)
+    auditor = Auditor(counter)
     share = 0.6 / len(options.builders)
     trees: dict[str, Tree] = {}
     rows: list[TreeRow] = []
     for i, name in enumerate(options.builders):
         source, part = TreeSource.parse(name), report.part(share * i, share, name)
-        key, tree, row = study_tree(source, scene, counter, rays_key, store, part)
-        trees[key] = tree
+        trees[name], row = study_tree(source, counter, auditor, store, part)
         rows.append(row)
-    before = _Frame(setting.scene, setting.rays, list(setting.trees.values()))
-    after = _Frame(scene, rays, list(trees.values()))
-    keys = {"before": list(setting.trees), "after": list(trees), "rays": setting.rays_key}
+    before = Frame(setting.scene, setting.rays, list(setting.trees.values()))
+    after = Frame(scene, rays, list(trees.values()))
+    keys = {
+        "before": [tree.digest for tree in before.trees],
+        "after": [tree.digest for tree in after.trees],
+        "rays": [setting.rays.digest, rays.digest],
+    }
     times_key = key_of(
-        **keys, machine=setting.machine, options=options.stopwatch("scalar"), format=2
+        __name__, **keys, machine=setting.machine, options=options.stopwatch("scalar")
     )
-    make_times = functools.partial(_times_of_both, before, after, options, report.part(0.6, 0.4))
+    # Both frames in the same rounds, so that drift cancels in the factors.
+    make_times = functools.partial(
+        time_frames, [before, after], "scalar", options, report.part(0.6, 0.4)
+    )
     found = kept(store, f"rotation-{times_key}", TreeTimes, make_times)
-    same = kept(store, f"same-{key_of(**keys)}", _SameHits, lambda: _same_hits(before, after))
+    same = kept(
+        store, f"same-{key_of(__name__, **keys)}", _SameHits, lambda: _same_hits(before, after)
+    )
     count = len(rows)
     timed = zip(rows, found.ns[:count], found.ns[count:], found.error[count:], strict=True)
     return RotationResult(
@@ -122,19 +115,7 @@ def rotation_experiment(setting: Setting, report: Reporter) -> RotationResult:
     )
 
 
-def _times_of_both(
-    before: _Frame, after: _Frame, options: StudyOptions, report: Reporter
-) -> TreeTimes:
-    """Time the trees of both frames in the same rounds, so that drift cancels in the factors."""
-    launches = []
-    for frame in (before, after):
-        some = timed_rays(frame.rays, "scalar", options)
-        tracers = portions(some, frame.scene, "scalar", options)
-        launches += [launch_of(tracers, tree, frame.scene) for tree in frame.trees]
-    return run_stopwatch(launches, len(tracers), len(some), options, report, "time scalar")
-
-
-def _same_hits(before: _Frame, after: _Frame) -> _SameHits:
+def _same_hits(before: Frame, after: Frame) -> _SameHits:
     """Share of the rays that hit the same triangle, or nothing, in both frames."""
     hits = []
     for frame in (before, after):

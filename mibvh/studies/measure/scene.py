@@ -7,11 +7,14 @@ import dataclasses
 import functools
 from collections.abc import Sequence
 
+from mibvh.code import code_digest
 from mibvh.environment import environment
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene
+from mibvh.studies.measure.audit import Auditor
 from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import RayCounter
+from mibvh.studies.measure.looks import scene_digest
 from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import Store, key_of
@@ -32,6 +35,7 @@ _STAGES = {
     "counts": "counts",
     "timing": "stopwatch",
     "picture": "picture",
+    "audit": "audit",
 }
 #: Name of the part that every study has.
 BASE = "prediction"
@@ -39,7 +43,10 @@ BASE = "prediction"
 
 @dataclasses.dataclass(frozen=True)
 class _Picture:
+    """A picture, base64-encoded, empty if there is none; what is to be said of it."""
+
     png: str
+    note: str
 
 
 def study_scene(
@@ -62,6 +69,7 @@ def study_scene(
     store.begin()
     setting, record = _predict(scene, options, store, reporter.of("", *shares[BASE]))
     seconds = {_STAGES[kind]: spent for kind, spent in store.spent.items()}
+    reused = {_STAGES[kind]: count for kind, count in store.reused.items()}
     results = {}
     for experiment in asked:
         # The last step had the records of all trees in memory; the next needs one at a time.
@@ -71,8 +79,9 @@ def study_scene(
         if experiment.measure is not None:
             results[experiment.name] = experiment.measure(setting, part)
         seconds[experiment.name] = sum(store.spent.values())
+        reused[experiment.name] = store.reused.total()
     listener(Progress(scene.name, "", "done", None, 1.0))
-    return dataclasses.replace(record, results=results, seconds=seconds)
+    return dataclasses.replace(record, results=results, seconds=seconds, reused=reused)
 
 
 def _predict(
@@ -80,29 +89,28 @@ def _predict(
 ) -> tuple[Setting, SceneRecord]:
     """Make the rays and the trees of a scene, count and time them."""
     digest, machine = scene.triangles.digest, environment()
-    rays_key = key_of(digest=digest, cameras=cameras(scene), **options.rays())
+    rays_key = key_of("mibvh.rays.diffuse", digest=digest, cameras=cameras(scene), **options.rays())
     report("rays", 0.0)
     rays = store.array(RaySet, rays_key, functools.partial(diffuse_rays, scene, **options.rays()))
     counter = RayCounter(scene, rays, options.cull)
+    auditor = Auditor(counter)
     trees: dict[str, Tree] = {}
     rows: list[TreeRow] = []
     share = 0.5 / len(options.builders)
     for i, name in enumerate(options.builders):
         part = report.part(0.02 + share * i, share, name)
         source = TreeSource.parse(name)
-        key, tree, row = study_tree(source, scene, counter, rays_key, store, part)
-        trees[key] = tree
+        trees[name], row = study_tree(source, counter, auditor, store, part)
         rows.append(row)
-    setting = Setting(scene, rays, rays_key, trees, options, machine, store)
+    setting = Setting(scene, rays, trees, options, machine, store)
     rows, timing = _time(setting, rows, report)
-    picture = functools.partial(_picture, scene)
-    # Parameters of the scene, which are in its name, may change but its materials.
-    look = key_of(rays=rays_key, scene=scene.name)
+    picture_key = key_of("mibvh.picture", scene=scene_digest(scene), cameras=cameras(scene))
+    picture = kept(store, f"picture-{picture_key}", _Picture, functools.partial(_picture, scene))
     return setting, SceneRecord(
         scene=scene.name,
         triangles=len(scene.triangles),
         digest=digest,
-        notes=list(scene.notes),
+        notes=[*scene.notes, *([picture.note] if picture.note else [])],
         rays=RayFacts(
             count=len(rays),
             digest=rays.digest,
@@ -114,8 +122,10 @@ def _predict(
         trees=rows,
         options=options,
         environment=machine,
-        picture=kept(store, f"picture-{look}", _Picture, picture).png,
+        picture=picture.png,
         seconds={},
+        reused={},
+        code=code_digest(__name__),
     )
 
 
@@ -127,19 +137,22 @@ def _time(
     timing: dict[str, Timing] = {}
     for i, lanes in enumerate(LANES):
         key = key_of(
-            trees=list(setting.trees),
-            rays=setting.rays_key,
+            "mibvh.studies.measure.times",
+            trees=[tree.digest for tree in trees],
+            rays=setting.rays.digest,
             lanes=lanes,
             machine=setting.machine,
             options=options.stopwatch(lanes),
-            format=2,
         )
         part = report.part(0.55 + 0.2 * i, 0.2)
         make = functools.partial(times, trees, setting.scene, setting.rays, lanes, options, part)
         found = kept(setting.store, f"timing-{key}", TreeTimes, make)
+        columns = {f"{lanes}_ns": found.ns, f"{lanes}_error": found.error} | {
+            f"{lanes}_ns_{clock}": ns for clock, ns in found.ns_by_clock.items()
+        }
         rows = [
-            row.with_values(**{f"{lanes}_ns": ns, f"{lanes}_error": error})
-            for row, ns, error in zip(rows, found.ns, found.error, strict=True)
+            row.with_values(**{name: column[place] for name, column in columns.items()})
+            for place, row in enumerate(rows)
         ]
         timing[lanes] = found.timing
     return rows, timing
@@ -159,6 +172,16 @@ def _shares(asked: Sequence[Experiment]) -> dict[str, tuple[float, float]]:
 
 
 def _picture(scene: Scene) -> _Picture:
+    """Render a scene, or light it from the camera, or do without: no study ends for a picture."""
     from mibvh.picture import picture, png
 
-    return _Picture(base64.b64encode(png(picture(scene))).decode())
+    said = ""
+    for samples, instead in ((32, "is lit from the camera"), (0, "is missing")):
+        try:
+            pixels = picture(scene, samples=samples)
+        except Exception as error:  # of Mitsuba, whose plugins raise nearly anything
+            reason = " ".join((str(error) or type(error).__name__).split())[:200]
+            said = f"the picture {instead}: Mitsuba cannot render this scene ({reason})"
+        else:
+            return _Picture(base64.b64encode(png(pixels)).decode(), said)
+    return _Picture("", said)

@@ -83,15 +83,17 @@ def sensitivity_experiment(setting: Setting, report: Reporter) -> SensitivityRes
     options, trees = setting.options, setting.trees
     share = 0.7 / len(trees)
     leaf_sizes = []
-    for i, (name, key) in enumerate(zip(options.builders, trees, strict=True)):
+    for i, (name, tree) in enumerate(trees.items()):
         report.part(share * i, share, name)("leaf sizes", 0.0)
         piece = key_of(
-            tree=key,
-            rays=setting.rays_key,
+            __name__,
+            "mibvh.builders.registry",
+            builder=name,
+            tree=tree.digest,
+            rays=setting.rays.digest,
             cull=options.cull,
             sizes=LEAF_SIZES,
             most=_LEAF_RAYS,
-            format=2,
         )
         make = functools.partial(
             _leaf_sizes, TreeSource.parse(name), setting.scene, setting.rays, options.cull
@@ -126,7 +128,13 @@ def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:
     """Costs of the rays that are deeper than those of the scene's own ray set."""
     scene, trees, options = setting.scene, setting.trees, setting.options
     choices = {**options.rays(), "bounces": max(BOUNCES, options.bounces)}
-    key = key_of(digest=scene.triangles.digest, cameras=cameras(scene), deeper=True, **choices)
+    key = key_of(
+        "mibvh.rays.diffuse",
+        digest=scene.triangles.digest,
+        cameras=cameras(scene),
+        deeper=True,
+        **choices,
+    )
 
     def deeper() -> RaySet:
         rays = diffuse_rays(scene, **choices)
@@ -138,9 +146,10 @@ def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:
         return [[] for _ in trees]
     counter = _LazyTracer(scene, rays, options.cull)
     costs = []
-    for i, (name, (tree_key, tree)) in enumerate(zip(options.builders, trees.items(), strict=True)):
+    for i, (name, tree) in enumerate(trees.items()):
         report.part(0.2 + 0.8 * i / len(trees), 0.8 / len(trees), name)("count", 0.0)
-        piece = f"deeper-{key_of(tree=tree_key, rays=key, cull=options.cull)}"
+        code = "mibvh.studies.measure.counts"
+        piece = f"deeper-{key_of(code, tree=tree.digest, rays=rays.digest, cull=options.cull)}"
         make = functools.partial(counter.count, tree)
         costs.append(kept(setting.store, piece, _Costs, make).costs)
     return costs

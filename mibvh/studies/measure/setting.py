@@ -20,10 +20,8 @@ class Setting:
     ----------
     scene : Scene
     rays : RaySet
-    rays_key : str
-        What the rays are kept under.
     trees : dict of str to Tree
-        By what they are kept under, in the order of ``options.builders``.
+        By name, in the order of ``options.builders``.
     options : StudyOptions
     machine : dict
         What times depend on besides.
@@ -32,7 +30,6 @@ class Setting:
 
     scene: Scene
     rays: RaySet
-    rays_key: str
     trees: dict[str, Tree]
     options: StudyOptions
     machine: dict[str, Any]

@@ -9,22 +9,31 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+from mibvh.code import code_digest
 from mibvh.errors import MibvhError
 from mibvh.files import write_text
 from mibvh.rays import RaySet
 from mibvh.tree import Tree
-from mibvh.version import __version__
 
 T = TypeVar("T", Tree, RaySet)
 
 
-def key_of(**parts: Any) -> str:
-    """Hash of JSON-able parts and of mibvh's version."""
-    text = json.dumps({**parts, "mibvh": __version__}, sort_keys=True, default=str)
+def key_of(*code: str, **parts: Any) -> str:
+    """Hash of what a piece is made from, and of the code that makes it.
+
+    Parameters
+    ----------
+    *code : str
+        Modules that make it; all that they import from this package counts.
+    **parts
+        JSON-able.
+    """
+    text = json.dumps({**parts, "code": code_digest(*code)}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
@@ -41,6 +50,8 @@ class Store:
     spent : dict of str to float
         Seconds that it took to make the pieces handed out since :meth:`begin`, whenever that
         was, by the first word of their names.
+    made, reused : Counter of str
+        Pieces that were made, and that were here, since :meth:`begin`, by the same words.
 
     Raises
     ------
@@ -55,18 +66,28 @@ class Store:
             raise MibvhError(f"{folder}: cannot be made a folder ({error.strerror})") from None
         self.folder = folder
         self.spent: dict[str, float] = {}
+        self.made: Counter[str] = Counter()
+        self.reused: Counter[str] = Counter()
 
     def begin(self) -> None:
-        """Count the seconds spent on pieces from here on."""
-        self.spent = {}
+        """Count pieces, and the seconds spent on them, from here on."""
+        self.spent, self.made, self.reused = {}, Counter(), Counter()
 
-    def array(self, kind: type[T], key: str, make: Callable[[], T]) -> T:
-        """A tree or ray set: read if it is here and sound, otherwise made and kept."""
+    def array(self, kind: type[T], key: str | None, make: Callable[[], T]) -> T:
+        """A tree or ray set: read if it is here and sound, otherwise made and kept.
+
+        Without a key it is made anew: nothing tells whether one that is here would be the same.
+        """
+        if key is None:
+            started = time.perf_counter()
+            value = make()
+            self._count(kind.__name__.lower(), time.perf_counter() - started, made=True)
+            return value
         name = f"{kind.__name__.lower()}-{key}"
         path = self.folder / f"{name}.npz"
         if path.exists():
             try:
-                value = kind.load(path)
+                value = kind.load(path, key=key)
             except MibvhError:
                 path.unlink()
             else:
@@ -75,20 +96,25 @@ class Store:
         started = time.perf_counter()
         value = make()
         seconds = time.perf_counter() - started
-        value.save(path)
+        value.save(path, key=key)
         self.write(name, {}, seconds)
-        self._count(name, seconds)
+        self._count(name, seconds, made=True)
         return value
+
+    def has(self, kind: type[Tree] | type[RaySet], key: str | None) -> bool:
+        """Whether a tree or ray set is here; it may turn out to be damaged."""
+        return key is not None and (self.folder / f"{kind.__name__.lower()}-{key}.npz").exists()
 
     def kept(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """A JSON piece: read if it is here and sound, otherwise made and kept."""
         value, seconds = self._held(name)
+        made = value is None
         if value is None:
             started = time.perf_counter()
             value = make()
             seconds = time.perf_counter() - started
             self.write(name, value, seconds)
-        self._count(name, seconds)
+        self._count(name, seconds, made=made)
         return value
 
     def read(self, name: str) -> dict[str, Any] | None:
@@ -107,12 +133,14 @@ class Store:
             held = json.loads(path.read_text(encoding="utf-8"))
             sound = held["checksum"] == _checksum(held["value"])
             seconds = float("nan") if held.get("seconds") is None else float(held["seconds"])
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        except (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError,
+                RecursionError):  # fmt: skip
             return None, float("nan")
         return (held["value"], seconds) if sound else (None, float("nan"))
 
-    def _count(self, name: str, seconds: float) -> None:
+    def _count(self, name: str, seconds: float, *, made: bool = False) -> None:
         kind = name.partition("-")[0]
+        (self.made if made else self.reused)[kind] += 1
         self.spent[kind] = self.spent.get(kind, 0.0) + seconds
 
 

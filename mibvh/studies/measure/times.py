@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from typing import Literal
 
@@ -12,18 +13,24 @@ import numpy as np
 
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
-from mibvh.studies.measure.stopwatch import measure
+from mibvh.studies.measure.stopwatch import CLOCKS, SHORTEST, Timings, measure
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import Timing
 from mibvh.traversal.records import Records, make_records, unit_scale
-from mibvh.traversal.trace import Tracer
+from mibvh.traversal.trace import LaunchSeconds, Tracer
 from mibvh.tree import Tree
 
 Lanes = Literal["scalar", "simd"]
 LANES: tuple[Lanes, ...] = ("scalar", "simd")
 #: Fewest rays of a portion that is timed: some hundredths of a second.
 _PORTION = {"scalar": 8192, "simd": 32768}
+_MOST_PORTIONS = 8
+#: How often the rays of a small set may be repeated to fill a launch. A set that needs more tells
+#: how fast these few rays are, and not how fast the tree is.
+_MOST_COPIES = 256
+
+Launch = Callable[[int], LaunchSeconds]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,13 +40,26 @@ class TreeTimes:
     Attributes
     ----------
     ns, error : list of float
-        Nanoseconds per ray of each tree, and their relative standard errors.
+        Nanoseconds per ray of each tree, and their relative standard errors; NaN where the rays
+        are too few to be timed.
+    ns_by_clock : dict of str to list of float
+        The same by either clock of the stopwatch.
     timing : Timing
     """
 
     ns: list[float]
     error: list[float]
+    ns_by_clock: dict[str, list[float]]
     timing: Timing
+
+
+@dataclasses.dataclass(frozen=True)
+class Frame:
+    """Trees of a scene, and the rays that they are timed with."""
+
+    scene: Scene
+    rays: RaySet
+    trees: Sequence[Tree]
 
 
 def times(
@@ -50,44 +70,103 @@ def times(
     options: StudyOptions,
     report: Reporter,
 ) -> TreeTimes:
-    """Time all trees of a scene, and the first one a second time under another name."""
-    some = timed_rays(rays, lanes, options)
-    tracers = portions(some, scene, lanes, options)
+    """Time all trees of a scene, the first and the last a second time under other names."""
     # A tree's records are made anew for its second name: they lie elsewhere in memory.
-    launches = [launch_of(tracers, tree, scene) for tree in (*trees, trees[0])]
-    found = run_stopwatch(launches, len(tracers), len(some), options, report, f"time {lanes}")
-    difference = found.ns[-1] / found.ns[0] - 1
-    timing = dataclasses.replace(found.timing, repeat_difference=difference)
-    return TreeTimes(found.ns[:-1], found.error[:-1], timing)
+    frame = Frame(scene, rays, [*trees, trees[0], trees[-1]])
+    count = len(trees)
+    same = [(0, count), (count - 1, count + 1)]
+    found = time_frames([frame], lanes, options, report, same)
+    return TreeTimes(
+        found.ns[:count],
+        found.error[:count],
+        {clock: ns[:count] for clock, ns in found.ns_by_clock.items()},
+        found.timing,
+    )
 
 
-def run_stopwatch(
-    launches: Sequence[Callable[[int], float]],
-    portion_count: int,
-    rays: int,
+def time_frames(
+    frames: Sequence[Frame],
+    lanes: Lanes,
     options: StudyOptions,
     report: Reporter,
-    stage: str,
+    same: Sequence[tuple[int, int]] = (),
 ) -> TreeTimes:
-    """Time launches that trace the same number of rays."""
+    """Time the trees of one or more frames in the same rounds.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+        With rays of one and the same number.
+    lanes : "scalar" or "simd"
+    options : StudyOptions
+    report : Reporter
+    same : sequence of pairs of int
+        Trees that are one and the same, counted through all frames.
+    """
+    stage = f"time {lanes}"
+    report(stage, 0.0)
+    chosen = [timed_rays(frame.rays, lanes, options) for frame in frames]
+    count = len(chosen[0])
+    copies, portions = _sizes(frames[0], chosen[0], lanes, options)
+    if copies > _MOST_COPIES:
+        none = [math.nan] * sum(len(frame.trees) for frame in frames)
+        timing = Timing(rounds=0, complete=False, rays=count, portions=0)
+        return TreeTimes(none, none, dict.fromkeys(CLOCKS, none), timing)
+    launches: list[Launch] = []
+    for frame, some in zip(frames, chosen, strict=True):
+        tracers = _tracers(frame.scene, repeated(some, copies), portions, lanes, options)
+        launches += [_launch_of(tracers, tree, frame.scene) for tree in frame.trees]
     timings = measure(
         launches,
-        portions=portion_count,
+        portions=portions,
         seconds=options.seconds,
         standard_error=options.standard_error,
+        same=same,
         progress=functools.partial(report, stage),
     )
-    ns = timings.estimate / rays * 1e9
+    return _per_ray(timings, count, copies, portions)
+
+
+def _per_ray(timings: Timings, rays: int, copies: int, portions: int) -> TreeTimes:
+    scale = 1e9 / (rays * copies)
+    clock = timings.clock
+    differences = timings.same_tree_differences(clock)
     return TreeTimes(
-        ns=ns.tolist(),
+        ns=(timings.estimate * scale).tolist(),
         error=timings.relative_error.tolist(),
+        ns_by_clock={c: (timings.estimate_by(c) * scale).tolist() for c in CLOCKS},
         timing=Timing(
-            rounds=len(timings.seconds),
+            rounds=timings.rounds,
             complete=timings.complete,
             rays=rays,
-            portions=portion_count,
+            portions=portions,
+            copies=copies,
+            clock=clock,
+            repeat_difference=float(differences[0]) if len(differences) else math.nan,
         ),
     )
+
+
+def _sizes(frame: Frame, rays: RaySet, lanes: Lanes, options: StudyOptions) -> tuple[int, int]:
+    """How often the rays are repeated, and into how many portions they are split.
+
+    The fastest tree decides: each of its launches is to be long enough for the stopwatch.
+    """
+    whole = _tracers(frame.scene, rays, 1, lanes, options)
+    shortest = math.inf
+    for tree in frame.trees:
+        launch = _launch_of(whole, tree, frame.scene)
+        launch(0)  # may compile
+        shortest = min(shortest, launch(0).kernel)
+    if shortest < SHORTEST:
+        return math.ceil(SHORTEST / max(shortest, 1e-9)), 1
+    most = min(len(rays) // _PORTION[lanes], int(shortest / SHORTEST), _MOST_PORTIONS)
+    return 1, max(most, 1)
+
+
+def repeated(rays: RaySet, copies: int) -> RaySet:
+    """Return the rays several times over, one set after the other."""
+    return rays if copies == 1 else rays.select(np.tile(np.arange(len(rays)), copies))
 
 
 def timed_rays(rays: RaySet, lanes: Lanes, options: StudyOptions) -> RaySet:
@@ -96,10 +175,11 @@ def timed_rays(rays: RaySet, lanes: Lanes, options: StudyOptions) -> RaySet:
     return rays.select(slice(None, None, step))
 
 
-def portions(rays: RaySet, scene: Scene, lanes: Lanes, options: StudyOptions) -> list[Tracer]:
-    """Split rays into runs of neighbours that are long enough to be timed; at most eight."""
-    count = min(max(len(rays) // _PORTION[lanes], 1), 8)
-    ends = np.linspace(0, len(rays), count + 1).astype(int)
+def _tracers(
+    scene: Scene, rays: RaySet, portions: int, lanes: Lanes, options: StudyOptions
+) -> list[Tracer]:
+    """Split rays into runs of neighbours."""
+    ends = np.linspace(0, len(rays), portions + 1).astype(int)
     scale = float(unit_scale(scene.triangles))
     return [
         Tracer(rays.select(slice(begin, end)), scale, lanes, cull=options.cull)
@@ -107,10 +187,10 @@ def portions(rays: RaySet, scene: Scene, lanes: Lanes, options: StudyOptions) ->
     ]
 
 
-def launch_of(tracers: list[Tracer], tree: Tree, scene: Scene) -> Callable[[int], float]:
-    """Return what traces a portion of the rays through a tree and tells its kernel seconds."""
+def _launch_of(tracers: list[Tracer], tree: Tree, scene: Scene) -> Launch:
+    """Return what traces a portion of the rays through a tree and tells what that took."""
     return functools.partial(_launch, tracers, make_records(tree, scene.triangles))
 
 
-def _launch(tracers: list[Tracer], records: Records, portion: int) -> float:
+def _launch(tracers: list[Tracer], records: Records, portion: int) -> LaunchSeconds:
     return tracers[portion].run(records)[1]

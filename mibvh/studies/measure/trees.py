@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Any
 
 import numpy as np
 
 from mibvh.builders import build, get
 from mibvh.metrics.registry import Subject, metrics
-from mibvh.scene import Scene
+from mibvh.studies.measure.audit import Auditor, Checks
 from mibvh.studies.measure.counts import LINES, Counts, RayCounter
 from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.store import Store, key_of
@@ -46,14 +45,20 @@ class TreeSource:
         """
         return cls(text, get(text).name)
 
-    def key(self, triangles: Triangles) -> str:
-        """Return what its tree of these triangles is kept under."""
-        code = get(self.builder).fingerprint()
-        return key_of(digest=triangles.digest, builder=self.builder, code=code)
+    def key(self, triangles: Triangles) -> str | None:
+        """Return what its tree of these triangles is kept under; None if it cannot be kept."""
+        code = get(self.builder).code()
+        if code is None:
+            return None
+        return key_of(digest=triangles.digest, builder=self.builder, of_builder=code)
 
-    def make(self, triangles: Triangles) -> Tree:
-        """Build the tree."""
-        return build(triangles, self.builder)
+    def make(self, triangles: Triangles, report: Reporter) -> Tree:
+        """Build the tree. Stages of a builder are not reported, but that it has to be compiled."""
+
+        def progress(stage: str, done: float) -> None:
+            report("compiling" if stage == "compiling" else "build", 0.0)
+
+        return build(triangles, self.builder, progress=progress)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,50 +68,63 @@ class TreeFigures:
     values: dict[str, float]
     sah_by_depth: list[float]
     epo_by_depth: list[float]
-    options: dict[str, Any]
-    build_report: dict[str, Any]
 
 
 def study_tree(
     source: TreeSource,
-    scene: Scene,
     counter: RayCounter,
-    rays_key: str,
+    auditor: Auditor,
     store: Store,
     report: Reporter,
-) -> tuple[str, Tree, TreeRow]:
-    """Build, judge and count one tree.
+) -> tuple[Tree, TreeRow]:
+    """Build, judge, count and audit one tree.
 
     Returns
     -------
-    key : str
-        What the tree is kept under.
     tree : Tree
     row : TreeRow
         Without times.
     """
-    report("build", 0.0)
-    key = source.key(scene.triangles)
-    tree = store.array(Tree, key, functools.partial(source.make, scene.triangles))
+    triangles = counter.triangles
+    key = source.key(triangles)
+    report("cached tree" if store.has(Tree, key) else "build", 0.0)
+    tree = store.array(Tree, key, functools.partial(source.make, triangles, report))
     report("metrics", 0.5)
-    judge = functools.partial(judge_tree, tree, scene.triangles)
-    judged = kept(store, f"metrics-{key_of(tree=key, format=2)}", TreeFigures, judge)
+    judge = functools.partial(judge_tree, tree, triangles)
+    # What is computed from the tree goes by its bytes; what its builder said of it is not kept.
+    of = {"tree": tree.digest, "digest": triangles.digest}
+    metrics_key = key_of(__name__, "mibvh.metrics.registry", **of)
+    judged = kept(store, f"metrics-{metrics_key}", TreeFigures, judge)
     report("count", 0.8)
-    counts_key = key_of(tree=key, rays=rays_key, cull=counter.cull, lines=LINES, format=4)
+    counts_key = key_of(
+        "mibvh.studies.measure.counts",
+        **of,
+        rays=counter.rays.digest,
+        cull=counter.cull,
+        lines=LINES,
+    )
     count = functools.partial(counter, tree)
     counts = kept(store, f"counts-{counts_key}", Counts, count)
+    values = {**judged.values, **counts.values}
+    report("audit", 0.95)
+    audited = {name: values[name] for name in ("sah", "epo", "counted_cost")}
+    audit_key = key_of(
+        "mibvh.audit.run", **of, rays=counter.rays.digest, cull=counter.cull, **audited
+    )
+    audit = functools.partial(auditor, tree, values)
     row = TreeRow(
         builder=source.name,
-        options=judged.options,
-        values={**judged.values, **counts.values},
+        options=tree.meta["options"],
+        values=values | {"build_seconds": tree.meta["build_seconds"]},
         sah_by_depth=judged.sah_by_depth,
         epo_by_depth=judged.epo_by_depth,
         cost_groups=counts.cost_groups,
         costs_by_origin=counts.costs_by_origin,
         leaf_distribution=counts.leaf_distribution,
-        build_report=judged.build_report,
+        build_report=tree.meta["report"],
+        audit=kept(store, f"audit-{audit_key}", Checks, audit).checks,
     )
-    return key, tree, row
+    return tree, row
 
 
 def judge_tree(tree: Tree, triangles: Triangles) -> TreeFigures:
@@ -120,6 +138,4 @@ def judge_tree(tree: Tree, triangles: Triangles) -> TreeFigures:
         values=values,
         sah_by_depth=np.bincount(tree.depths, subject.sah_shares, levels).tolist(),
         epo_by_depth=np.bincount(tree.depths, subject.epo_shares, levels).tolist(),
-        options=tree.meta["options"],
-        build_report=tree.meta["report"],
     )

@@ -13,14 +13,16 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from mibvh.audit.record import Check
 from mibvh.errors import MibvhError
+from mibvh.files import plain
 from mibvh.metrics.predictors import Sample
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.serialise import from_json, to_json
 from mibvh.triangles import F64
 
 #: To be raised with every change of the fields below.
-FORMAT = 7
+FORMAT = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +56,8 @@ class TreeRow:
         How many rays visited 0, 1, 2, ... leaves.
     build_report : dict
         What the builder said of its work.
+    audit : list of Check
+        The checks of the tree and of its figures.
     """
 
     builder: str
@@ -65,6 +69,15 @@ class TreeRow:
     costs_by_origin: list[OriginCost]
     leaf_distribution: list[int]
     build_report: dict[str, Any]
+    audit: list[Check] = dataclasses.field(default_factory=list)
+
+    @property
+    def failures(self) -> list[Check]:
+        """The checks that did not pass."""
+        return [check for check in self.audit if not check.passed]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "builder", plain(self.builder))
 
     def __getitem__(self, name: str) -> float:
         return self.values[name]
@@ -85,7 +98,13 @@ class Timing:
     complete : bool
         Whether the error asked for was reached before the time ran out.
     rays, portions : int
-        How many rays were timed, and in how many portions.
+        How many rays were timed, and in how many portions; no portions where they are too few
+        to be timed.
+    copies : int
+        How often they were repeated to fill a launch.
+    clock : str
+        By which the trees are compared: ``kernel``, its wall time, or ``process``, the CPU time
+        of the process.
     repeat_difference : float
         By how much the first tree, timed twice under two names, differed from itself; NaN where
         no tree was.
@@ -95,6 +114,8 @@ class Timing:
     complete: bool
     rays: int
     portions: int
+    copies: int = 1
+    clock: str = "kernel"
     repeat_difference: float = float("nan")
 
 
@@ -152,9 +173,13 @@ class SceneRecord:
     environment : dict
         What it was measured on; see :func:`mibvh.environment.environment`.
     picture : str
-        PNG, base64-encoded.
+        PNG, base64-encoded; empty where there is none.
     seconds : dict of str to float
         What each stage took, in the runs that its pieces were made in.
+    reused : dict of str to int
+        How many pieces of each stage the last run took from the study's folder.
+    code : str
+        Hash of the code that measured the scene.
     results : dict of str to Result
         Of the experiments beside prediction that were run, by name.
     """
@@ -170,7 +195,12 @@ class SceneRecord:
     environment: dict[str, Any]
     picture: str
     seconds: dict[str, float]
+    reused: dict[str, int]
+    code: str
     results: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scene", plain(self.scene))  # a file may be called anything
 
     def __getitem__(self, name: str) -> Any:
         """Return a field or an experiment's result by name, as when records were dicts."""
@@ -184,6 +214,10 @@ class SceneRecord:
     def column(self, name: str) -> F64:
         """(K,) float64: a quantity of each tree."""
         return np.array([tree[name] for tree in self.trees], dtype=np.float64)
+
+    def knows(self, name: str) -> bool:
+        """Whether a quantity is known of all trees: times are not, where rays are too few."""
+        return bool(np.isfinite(self.column(name)).all())
 
     def splits_triangles(self, tree: TreeRow) -> bool:
         """Whether a tree enters some triangle more than once."""
@@ -211,8 +245,8 @@ class SceneRecord:
         MibvhError
             If it is of another version of mibvh.
         """
-        read = dict(data)
-        found = read.pop("results", {})
+        read = from_json(dict[str, Any], data)
+        found = from_json(dict[str, Any], read.pop("results", {}))
         if unknown := sorted(set(found) - set(Result.kinds)):
             raise MibvhError(f"there is no experiment {unknown[0]!r}, but a study holds one")
         plain = from_json(cls, {**read, "results": {}})

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from mibvh.files import atomic_path
 from mibvh.metrics.registry import Quantity
 
 #: Rows that a page shows unfolded.
@@ -21,17 +24,34 @@ _LATEX = str.maketrans({
     **{sign: "\\" + sign for sign in "&%$#_{}"},
     "α": r"$\alpha$", "β": r"$\beta$", "σ": r"$\sigma$", "−": "$-$", "±": r"$\pm$",
     "–": "--", "×": r"$\times$", "≥": r"$\geq$", "≤": r"$\leq$", "√": r"$\surd$", "²": "$^2$",
-    "°": r"$^\circ$", "∞": r"$\infty$",
+    "°": r"$^\circ$", "∞": r"$\infty$", "[": "{[}", "*": "{*}",  # behind a line's end, commands
 })  # fmt: skip
+#: What Markdown takes for a table's edge, HTML, code, a link or emphasis.
+_MARKDOWN = re.compile(r"[\\|<>`*\[\]]|(?<![^\W_])_|_(?![^\W_])|&(?=#?\w+;)")
+#: What a spreadsheet takes for the beginning of a formula, unless a number follows the sign.
+_FORMULA = re.compile(r"[=@\t\r]|[+-](?!\d[\d.,]*\s?[%°×]?$)")
 
 
 class Cell(NamedTuple):
-    """A value as it is read: its text, what it sorts by, its error, whether it is the best."""
+    """A value as it is read.
+
+    Attributes
+    ----------
+    text : str
+    sort : float or str
+        What it sorts by.
+    error : str
+    best : bool
+        Whether it is the best of its column, by more than the errors.
+    alarm : bool
+        Whether it is not to be believed.
+    """
 
     text: str
     sort: float | str
-    error: str
-    best: bool
+    error: str = ""
+    best: bool = False
+    alarm: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +72,9 @@ class Column:
         Key of the relative error that is shown behind its values; that key has no column of its
         own in the table, but one in the file of its values.
     smaller_is_better : bool
-        Whether the smallest value is marked as the best.
+        Whether the smallest value is marked as the best, if its lead is beyond the errors.
+    alarm : str
+        Key of the column that says which values are not to be believed.
     """
 
     key: str
@@ -61,6 +83,7 @@ class Column:
     help: str = ""
     error: str = ""
     smaller_is_better: bool = False
+    alarm: str = ""
 
     @property
     def head(self) -> str:
@@ -68,7 +91,7 @@ class Column:
         return self.heading or self.key
 
     @classmethod
-    def of(cls, quantity: Quantity, error: bool = False) -> Column:
+    def of(cls, quantity: Quantity, error: bool = False, alarm: str = "") -> Column:
         """Return the column of a quantity, with its error behind it if that is asked for."""
         return cls(
             key=quantity.name,
@@ -77,6 +100,7 @@ class Column:
             help=quantity.help,
             error=quantity.error if error else "",
             smaller_is_better=quantity.smaller_is_better,
+            alarm=alarm,
         )
 
 
@@ -135,7 +159,7 @@ class Sheet:
 
     def rows(self) -> list[list[Cell]]:
         """The cells, row by row."""
-        least = {c: self.frame[c.key].min() for c in self.columns if c.smaller_is_better}
+        least = {c: _clear_least(self.frame, c) for c in self.columns if c.smaller_is_better}
         return [
             [_cell(column, row, least.get(column)) for column in self.columns]
             for row in self.frame.to_dict("records")
@@ -145,9 +169,11 @@ class Sheet:
         """As a Markdown table under a heading."""
         heads = [column.head for column in self.columns]
         marks = ["---" if self.is_text(column) else "---:" for column in self.columns]
-        lines = [heads, marks, *([cell.text for cell in row] for row in self.rows())]
+        rows = ([_markdown(cell.text) for cell in row] for row in self.rows())
+        lines = [[_markdown(head) for head in heads], marks, *rows]
         table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-        return "\n\n".join(part for part in (f"### {self.title}", self.note, table) if part) + "\n"
+        parts = (f"### {_markdown(self.title)}", _markdown(self.note), table)
+        return "\n\n".join(part for part in parts if part) + "\n"
 
     def latex(self) -> str:
         """As a LaTeX table in the manner of the package ``booktabs``; the best values are bold."""
@@ -159,34 +185,82 @@ class Sheet:
             for row in self.rows()
         ]
         body = " \\\\\n".join(rows)
+        label = re.sub("[^A-Za-z0-9.:@+-]", "-", self.name)
         return (
             "% needs \\usepackage{booktabs}\n"
             "\\begin{table}\n\\centering\n"
-            f"\\caption{{{_latex(caption)}}}\n\\label{{tab:{self.name}}}\n"
+            f"\\caption{{{_latex(caption)}}}\n\\label{{tab:{label}}}\n"
             f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{head} \\\\\n\\midrule\n"
             f"{body} \\\\\n\\bottomrule\n"
             "\\end{tabular}\n\\end{table}\n"
         )
 
 
+def _clear_least(frame: pd.DataFrame, column: Column) -> float | None:
+    """The least value, or None if its lead over the next one is within their errors.
+
+    Equal values share the lead. Of times, the lead must be twice the standard error of the
+    difference.
+    """
+    values = frame[column.key].to_numpy(np.float64)
+    if not np.isfinite(values).any():
+        return None
+    least = float(np.nanmin(values))
+    others = values > least
+    if column.error and others.any():
+        errors = values * np.nan_to_num(frame[column.error].to_numpy(np.float64))
+        second = int(np.nanargmin(np.where(others, values, np.inf)))
+        first = int(np.nanargmin(values))
+        if not values[second] - least > 2 * np.hypot(errors[first], errors[second]):
+            return None
+    return least
+
+
 def _cell(column: Column, row: dict[Any, Any], least: float | None) -> Cell:
     value = row[column.key]
+    alarm = bool(column.alarm and row[column.alarm])
     if isinstance(value, bool | np.bool_):
-        return Cell("yes" if value else "no", float(value), "", False)
+        return Cell("yes" if value else "no", float(value), alarm=alarm)
     if isinstance(value, str):
-        return Cell(value, value, "", False)
+        return Cell(value, value, alarm=alarm)
     if value is None or np.isnan(value):
-        return Cell(_NONE, "", "", False)
+        return Cell(_NONE, "", alarm=alarm)
     if np.isinf(value):
-        return Cell("∞" if value > 0 else "−∞", float(np.nan_to_num(value)), "", False)
+        return Cell("∞" if value > 0 else "−∞", float(np.nan_to_num(value)), alarm=alarm)
     error = row[column.error] if column.error else np.nan
     return Cell(
         format(value, column.format),
         float(value),
         f"±{error:.1%}" if np.isfinite(error) else "",
-        least is not None and value == least,
+        least is not None and value == least and not alarm,
+        alarm,
     )
 
 
 def _latex(text: str) -> str:
-    return text.translate(_LATEX)
+    return " ".join(text.split()).translate(_LATEX)
+
+
+def _markdown(text: str) -> str:
+    return _MARKDOWN.sub(lambda found: "\\" + found[0], " ".join(text.split()))
+
+
+def write_csv(frame: pd.DataFrame, path: str | os.PathLike[str]) -> None:
+    """Write a table as CSV; text that a spreadsheet would run as a formula gets a ``'`` first.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Names in it may be anybody's.
+    path : path
+    """
+    harmless = frame.rename(columns=_no_formula)
+    for place, dtype in enumerate(harmless.dtypes):
+        if not pd.api.types.is_numeric_dtype(dtype):
+            harmless.isetitem(place, harmless.iloc[:, place].map(_no_formula))
+    with atomic_path(path) as temporary:
+        harmless.to_csv(temporary, index=False)
+
+
+def _no_formula(value: Any) -> Any:
+    return f"'{value}" if isinstance(value, str) and _FORMULA.match(value) else value

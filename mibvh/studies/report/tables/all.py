@@ -7,6 +7,7 @@ import pandas as pd
 from mibvh.studies.record.experiment import experiments
 from mibvh.studies.record.scene import Records
 from mibvh.studies.record.sheet import Sheet
+from mibvh.studies.report.tables.audit import audit_sheets
 from mibvh.studies.report.tables.builders import builder_sheets
 from mibvh.studies.report.tables.claims import claim_sheets
 from mibvh.studies.report.tables.instrument import instrument_sheets
@@ -31,5 +32,6 @@ def answers(records: Records, found: pd.DataFrame) -> list[Sheet]:
         *(sheet for experiment in experiments() for sheet in experiment.sheets(records)),
         *step_sheets(records),
         *instrument_sheets(records, found),
+        *audit_sheets(records),
         tree_sheet(records),
     ]

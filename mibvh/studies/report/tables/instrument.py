@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ _STAGES = {
     "counts": "rays traced with counters, point queries, lines",
     "stopwatch": "scalar and SIMD",
     "rotation": "all of it: trees, metrics, counts, stopwatch",
+    "audit": "numbers held against another path through the code",
     "sensitivity": "trees of other leaf sizes, deeper bounces",
 }
 
@@ -39,6 +41,7 @@ def _stopwatch(records: Records) -> Sheet:
             row[f"{lanes.key}_rounds"] = timing.rounds
             row[f"{lanes.key}_error"] = worst_error([record], lanes.error)
             row[f"{lanes.key}_twice"] = timing.repeat_difference
+            row[f"{lanes.key}_clock"] = timing.clock if timing.portions else "none: too few rays"
         if rotation := record.result(RotationResult):
             again = [tree["scalar_ns_before"] for tree in rotation.trees]
             row["again"] = float(np.mean(again / record.column(SCALAR.ns))) - 1
@@ -50,6 +53,7 @@ def _stopwatch(records: Records) -> Sheet:
             Column(f"{lanes.key}_rounds", f"{lanes.title} rounds"),
             Column(f"{lanes.key}_error", f"{lanes.title} worst error", ".1%"),
             Column(f"{lanes.key}_twice", f"{lanes.title} same tree twice", "+.1%"),
+            Column(f"{lanes.key}_clock", f"{lanes.title} clock"),
         ]
     if "again" in frame:
         columns.append(Column("again", "scalar level again", "+.1%"))
@@ -101,7 +105,7 @@ def _seconds(records: Records) -> Sheet:
         section="Where the time of the study went",
         title="Seconds that the study took",
         note="Each piece counts as in the run that made it, however often the study was begun "
-        "again. Loading the scene and writing the report are not counted.",
+        "again. Loading the scene and writing the report are not counted. " + _from_folder(records),
         frame=frame,
         columns=[
             Column("scene"),
@@ -109,3 +113,12 @@ def _seconds(records: Records) -> Sheet:
             Column("all", format=".1f"),
         ],
     )
+
+
+def _from_folder(records: Records) -> str:
+    """Say which pieces the last run took from the study's folder."""
+    reused: Counter[str] = Counter()
+    for record in records:
+        reused.update(record.reused)
+    found = ", ".join(f"{stage} ({count})" for stage, count in reused.items() if count)
+    return f"Taken from the study's folder in the last run: {found or 'nothing'}."

@@ -8,6 +8,7 @@ from mibvh.metrics.predictors import glossary
 from mibvh.studies.record.quantities import columns, targets
 from mibvh.studies.record.scene import SceneRecord
 from mibvh.studies.record.sheet import Column, Sheet
+from mibvh.studies.report.tables.audit import doubted
 
 #: How well a predictor explains a measurement.
 _AGREEMENT = (
@@ -37,13 +38,24 @@ def scene_answers(record: SceneRecord, found: pd.DataFrame) -> list[Sheet]:
 
 
 def _trees(record: SceneRecord) -> Sheet:
-    rows = [{"builder": tree.builder, **tree.values} for tree in record.trees]
+    shown = columns()
+    rows = [
+        {
+            "builder": tree.builder,
+            **tree.values,
+            **{f"{q.name}_alarm": doubted(tree, q.name) for q in shown},
+        }
+        for tree in record.trees
+    ]
     return Sheet(
         name=f"{record.scene}-trees",
         section=record.scene,
         title=f"Trees of {record.scene}",
         frame=pd.DataFrame(rows),
-        columns=[Column("builder"), *(Column.of(q, error=True) for q in columns())],
+        columns=[
+            Column("builder"),
+            *(Column.of(q, error=True, alarm=f"{q.name}_alarm") for q in shown),
+        ],
     )
 
 

@@ -1,0 +1,157 @@
+"""All checks of one tree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mibvh.audit.hits import check_brute_force, check_mitsuba, check_same_hits
+from mibvh.audit.overlap import check_epo, check_sah
+from mibvh.audit.record import Audit, Check
+from mibvh.metrics.epo import epo
+from mibvh.metrics.sah import sah
+from mibvh.rays import RaySet, diffuse_rays
+from mibvh.rays.make import MOST_SELF_HITS
+from mibvh.scene import load
+from mibvh.traversal.agreement import lane_faults
+from mibvh.traversal.trace import Hits, trace
+from mibvh.tree import Tree
+from mibvh.triangles import Triangles
+
+#: Rays that are traced in scalar lanes, and without Dr.Jit.
+_LANE_RAYS = 1024
+#: Rays of each viewpoint, if the caller has none.
+_WIDTH, _HEIGHT = 160, 120
+
+
+def audit(
+    scene: Any,
+    tree: Tree,
+    rays: RaySet | None = None,
+    *,
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+) -> Audit:
+    """Check a tree, its figures, and the rays traced through it.
+
+    Each number is held against another path through the code: the tree against its invariants,
+    SAH against a sum over boxes, EPO against points on the surfaces, hits against brute force and
+    Mitsuba, SIMD lanes against scalar ones and a simulation without Dr.Jit, counts against a
+    second launch.
+
+    Parameters
+    ----------
+    scene : Scene, or what :func:`mibvh.load` takes
+    tree : Tree
+        Of any builder, or the caller's own.
+    rays : RaySet, optional
+        Diffuse rays from the scene's cameras by default.
+    seed : int
+        Of points and samples.
+    progress : callable, optional
+        Called as ``progress(stage, done)``.
+
+    Returns
+    -------
+    Audit
+        Of an unsound tree, it has nothing but the first fault: no other number would mean a thing.
+
+    Raises
+    ------
+    MibvhError
+        If the scene cannot be loaded, or tree or rays belong to another geometry.
+    """
+    report = progress or (lambda stage, done: None)
+    scene = load(scene)
+    triangles = scene.triangles
+    name = str(tree.meta.get("builder", "tree"))
+    report("tree", 0.0)
+    sound = check_tree(tree, triangles)
+    if not sound.passed:
+        return Audit(name, (sound,))
+    report("EPO", 0.1)
+    figures = audit_figures(tree, triangles, sah(tree), epo(tree, triangles), seed)
+    report("rays", 0.4)
+    rays = rays or diffuse_rays(scene, width=_WIDTH, height=_HEIGHT, samples=1, seed=seed)
+    report("hits", 0.6)
+    hits = trace(tree, triangles, rays, repeats=1)
+    traced = audit_hits(scene, tree, rays, hits, seed=seed)
+    return Audit(name, (sound, *figures, *traced))
+
+
+def audit_figures(
+    tree: Tree, triangles: Triangles, sah: float, epo: float, seed: int = 0
+) -> tuple[Check, ...]:
+    """Check the figures of a sound tree that take no rays."""
+    return check_sah(tree, sah), check_epo(tree, triangles, epo, seed)
+
+
+def audit_hits(
+    scene: Any,
+    tree: Tree,
+    rays: RaySet,
+    hits: Hits,
+    *,
+    counted_cost: float | None = None,
+    others: Hits | None = None,
+    seed: int = 0,
+) -> tuple[Check, ...]:
+    """Check what tracing rays through a sound tree gave.
+
+    Parameters
+    ----------
+    scene : Scene
+    tree : Tree
+    rays : RaySet
+    hits : Hits
+        In SIMD lanes by the ``single`` style.
+    counted_cost : float, optional
+        As it was counted before; that of a second launch by default.
+    others : Hits, optional
+        Of another tree of the scene.
+    seed : int
+        Of the samples.
+    """
+    triangles = scene.triangles
+    costs = {name: tree.meta[name] for name in ("c_inner", "c_tri") if name in tree.meta}
+    again = trace(tree, triangles, rays, repeats=1) if counted_cost is None else hits
+    first = hits.counted_cost(**costs) if counted_cost is None else counted_cost
+    checks = [
+        check_self_hits(rays, hits),
+        check_brute_force(triangles, rays, hits, seed),
+        check_mitsuba(scene, rays, hits, seed),
+        Check.of("counts", first, again.counted_cost(**costs), 1e-9 * abs(first), "counted again"),
+        check_lanes(tree, triangles, rays),
+    ]
+    if others is not None:
+        checks.append(check_same_hits(triangles, rays, hits, others, "trees"))
+    return tuple(checks)
+
+
+def check_tree(tree: Tree, triangles: Triangles) -> Check:
+    """Check the invariants of a tree, coverage of split triangles included."""
+    tree.check_built_for(triangles)
+    faults = tree.validate(triangles)
+    return Check.of("tree", len(faults), 0, 0, faults[0] if faults else "invariants")
+
+
+def check_lanes(tree: Tree, triangles: Triangles, rays: RaySet) -> Check:
+    """Check that SIMD lanes, scalar lanes and a simulation without Dr.Jit agree to the last bit."""
+    faults = lane_faults(tree, triangles, rays, rays_checked=_LANE_RAYS)
+    return Check.of(
+        "lanes", len(faults), 0, 0, faults[0] if faults else "SIMD, scalar, and simulated"
+    )
+
+
+def check_self_hits(rays: RaySet, hits: Hits) -> Check:
+    """Count rays that hit the triangle they leave: a flat one cannot be."""
+    own = int(np.count_nonzero((rays.source >= 0) & (rays.source == hits.triangle)))
+    return Check.of(
+        "self hits",
+        own,
+        0,
+        MOST_SELF_HITS * len(rays),
+        f"of {len(rays):,} rays, their own triangle",
+    )
