@@ -67,7 +67,7 @@ class Tree:
 
     def __repr__(self) -> str:
         if self._faulty:
-            return f"Tree({self._name!r}, not sound)"
+            return f"Tree({self._name!r}, invalid)"
         split = f", {len(self.references):,} references" if self.splits_triangles else ""
         return (
             f"Tree({self._name!r}, {self.triangle_count:,} triangles{split}, {len(self):,} nodes, "
@@ -190,7 +190,7 @@ class Tree:
         Returns
         -------
         list of str
-            Empty for a sound tree.
+            Empty for a valid tree.
         """
         from mibvh.validation import faults
 
@@ -302,7 +302,7 @@ class Tree:
         Raises
         ------
         MibvhError
-            If the file is missing, is no tree, is damaged, holds a tree that is not sound,
+            If the file is missing, is no tree, is damaged, holds an invalid tree,
             carries another key, or comes from a newer format.
         """
         arrays, meta = read_arrays(path, "tree", _ARRAYS, key=key)
@@ -314,7 +314,7 @@ class Tree:
         return tree
 
     def check_matches(self, triangles: Triangles) -> None:
-        """Refuse triangles that this tree was not built for, and a tree that is not sound.
+        """Refuse triangles that this tree was not built for, and an invalid tree.
 
         Every function that takes a tree and its triangles comes here first. The arrays are
         read-only: the check is made once for each geometry.
@@ -352,7 +352,7 @@ class Tree:
             )
 
     def check(self) -> None:
-        """Refuse a tree that is not sound, as far as can be told without its triangles.
+        """Refuse an invalid tree, as far as can be told without its triangles.
 
         Raises
         ------
@@ -373,7 +373,7 @@ class Tree:
 
     def _refuse(self, faults: list[str]) -> None:
         if faults:
-            raise MibvhError(f"the tree is not sound: {faults[0]}")
+            raise MibvhError(f"invalid tree: {faults[0]}")
 
 
 def _figure(value: Any) -> str:

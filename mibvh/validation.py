@@ -192,7 +192,7 @@ def structure_faults(tree: Nodes) -> list[str]:
 
 
 def geometry_faults(tree: Nodes, triangles: Triangles) -> list[str]:
-    """Check a tree of sound structure against its triangles."""
+    """Check a tree of valid structure against its triangles."""
     found = _reference_faults(tree, len(triangles))
     if found:
         return found

@@ -274,14 +274,14 @@ class WideTree:
         Returns
         -------
         list of str
-            Empty for a sound tree.
+            Empty for a valid tree.
         """
         from mibvh.wide_validation import faults
 
         return faults(self, triangles)
 
     def check(self) -> None:
-        """Refuse arrays that are no sound tree, as far as can be told without its triangles.
+        """Refuse arrays that are no valid tree, as far as can be told without its triangles.
 
         Raises
         ------
@@ -301,10 +301,10 @@ class WideTree:
 
     def _refuse(self, faults: list[str]) -> None:
         if faults:
-            raise MibvhError(f"the wide tree is not sound: {faults[0]}")
+            raise MibvhError(f"invalid wide tree: {faults[0]}")
 
     def check_matches(self, triangles: Triangles) -> None:
-        """Refuse triangles that this tree was not built for, and a tree that is not sound.
+        """Refuse triangles that this tree was not built for, and an invalid tree.
 
         Raises
         ------
@@ -352,7 +352,7 @@ class WideTree:
         Raises
         ------
         MibvhError
-            If the file is missing, is no wide tree, is damaged, holds a tree that is not sound,
+            If the file is missing, is no wide tree, is damaged, holds an invalid tree,
             carries another key, or comes from a newer format.
         """
         arrays, facts = read_arrays(path, "wide tree", _ARRAYS, key=key)

@@ -71,7 +71,7 @@ def _array_faults(tree: WideTree) -> list[str]:
 
 @njit
 def _first_fault(lower, upper, child, children, first, count, references, width, largest):
-    """Number of the first fault and its node; 0 for a sound tree.
+    """Number of the first fault and its node; 0 for a valid tree.
 
     Parents stand before their children: what a node is refused for is not looked at below it.
     """

@@ -191,7 +191,9 @@ def test_options_are_checked(name):
         low, high, default = entry["low"], entry["high"], entry["default"]
         assert entry["help"], key
         wrong = 7 if isinstance(default, str) else "seven"
-        with pytest.raises(MibvhError, match=f"option {key} takes a {type(default).__name__}, not"):
+        with pytest.raises(
+            MibvhError, match=f"option {key} must be of type {type(default).__name__}"
+        ):
             build(triangles, name, **{key: wrong})
         for bound, beyond in ((low, -1), (high, 1)):
             if bound is not None:

@@ -144,7 +144,7 @@ def test_a_plugin_registers_a_builder(cli, tmp_path):
         (["build", "cornell@3000", "-o", "t.npz", "--builder", "oak"], "no builder 'oak'"),
         (["build", "cornell@3000", "-o", "t.npz", "--option", "leaf=3"], "no option 'leaf'"),
         (["build", "cornell@3000", "-o", "t.npz", "--option", "max_leaf=0"], "from 1 to 255"),
-        (["build", "cornell@3000", "-o", "t.npz", "--option", "max_leaf=two"], "takes a int"),
+        (["build", "cornell@3000", "-o", "t.npz", "--option", "max_leaf=two"], "of type int"),
         (["build", "cornell@3000", "-o", "t.npz", "--option", "x"], "NAME=VALUE"),
         (["build", "cornell@3000", "-o", "absent/t.npz"], "absent/t.npz: cannot be written"),
         (["metrics", "cornell@3000", "absent.npz"], "absent.npz: there is no such tree file"),

@@ -331,7 +331,7 @@ def test_reprs(split, small_soup):
     assert len(repr(tree)) < 100
     assert repr(mibvh.build(small_soup, "lbvh")).startswith("Tree('lbvh', 60 triangles, ")
     assert "references" in repr(tree)
-    assert repr(tree.replace(left=np.zeros_like(tree.left))) == "Tree('sbvh', not sound)"
+    assert repr(tree.replace(left=np.zeros_like(tree.left))) == "Tree('sbvh', invalid)"
     shown = tree.replace(meta={**tree.meta, "builder": "<b>"})._repr_html_()
     assert shown.startswith("<table>")
     assert "&lt;b&gt;" in shown

@@ -273,7 +273,7 @@ def test_files_and_repr(tmp_path):
     with pytest.raises(mibvh.MibvhError, match="its key differs"):
         WideTree.load(tmp_path / "keyed.npz", key="b")
     set_at(wide, "child", 0, 0).save(tmp_path / "unsound.npz")
-    with pytest.raises(mibvh.MibvhError, match=r"unsound.npz: the wide tree is not sound: node 0"):
+    with pytest.raises(mibvh.MibvhError, match=r"unsound.npz: invalid wide tree: node 0"):
         WideTree.load(tmp_path / "unsound.npz")
     tree.save(tmp_path / "tree.npz")
     with pytest.raises(mibvh.MibvhError, match="not a wide tree file"):
@@ -365,7 +365,7 @@ def test_the_first_fault_in_one_sentence(sentence):
 def test_figures_of_an_unsound_tree_are_refused():
     triangles, tree = tree_of("bbvh")
     broken = set_at(collapse(tree, 8), "children", 0, 2000)
-    with pytest.raises(mibvh.MibvhError, match="not sound: node 0 has 2000 children"):
+    with pytest.raises(mibvh.MibvhError, match="invalid wide tree: node 0 has 2000 children"):
         mibvh.epo(broken, triangles)
     with pytest.raises(mibvh.MibvhError, match="built for another geometry"):
         mibvh.epo(collapse(tree, 8), soup(300, 4))

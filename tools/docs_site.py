@@ -15,7 +15,10 @@ GENERATED = Path("docs/results")  # tables of studies; they need not stand in th
 #: name stands on the page of the longest module that its home begins with.
 PAGES = {
     "scenes": ("Scenes and triangles", ["mibvh.scene", "mibvh.loading", "mibvh.triangles"]),
-    "trees": ("Trees", ["mibvh.tree", "mibvh.layouts"]),
+    "trees": (
+        "Trees",
+        [f"mibvh.{m}" for m in ("tree", "layouts", "wide_tree", "collapsing", "quantise", "audit")],
+    ),
     "builders": ("Builders", ["mibvh.builders"]),
     "metrics": ("Metrics", ["mibvh.metrics"]),
     "predictors": ("Predictors", ["mibvh.metrics.predictor"]),
@@ -86,7 +89,9 @@ def api_pages() -> dict[str, str]:
 
 
 def on_config(config: Any) -> Any:
-    """Leave missing pages out of the nav, and put the API reference in."""
+    """Complete the nav: pages that exist and only those, tables of results, the API reference."""
+    named = re.findall(r"[\w-]+\.md", str(config.nav))
+    others = sorted({path.name for path in (ROOT / "docs").glob("*.md")} - set(named))
     for section in config.nav:
         for title, entries in section.items() if isinstance(section, dict) else []:
             if title == "API":
@@ -96,6 +101,8 @@ def on_config(config: Any) -> Any:
                 entries += [f"results/{path.name}" for path in tables]
             else:
                 entries[:] = [page for page in entries if (ROOT / "docs" / page).exists()]
+                if title == "Guides":
+                    entries += others
     return config
 
 

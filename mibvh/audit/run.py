@@ -56,7 +56,7 @@ def audit(
     Returns
     -------
     Audit
-        Of an unsound tree, it has nothing but the first fault: no other number would mean a thing.
+        Of an invalid tree, it has nothing but the first fault: no other number would mean a thing.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def audit(
 def audit_figures(
     tree: Tree, triangles: Triangles, sah: float, epo: float, seed: int = 0
 ) -> tuple[Check, ...]:
-    """Check the figures of a sound tree that take no rays."""
+    """Check the figures of a valid tree that take no rays."""
     return check_sah(tree, sah), check_epo(tree, triangles, epo, seed)
 
 
@@ -98,7 +98,7 @@ def audit_hits(
     others: Hits | None = None,
     seed: int = 0,
 ) -> tuple[Check, ...]:
-    """Check what tracing rays through a sound tree gave.
+    """Check what tracing rays through a valid tree gave.
 
     Parameters
     ----------

@@ -67,7 +67,9 @@ class Options:
                 value = float(value)
                 object.__setattr__(self, field.name, value)
             if type(value) is not kind:
-                raise MibvhError(f"option {field.name} takes a {kind.__name__}, not {value!r}")
+                raise MibvhError(
+                    f"option {field.name} must be of type {kind.__name__}, not {value!r}"
+                )
             low, high = field.metadata.get("low"), field.metadata.get("high")
             if low is not None and high is not None and not low <= value <= high:
                 raise MibvhError(f"option {field.name} must be from {low} to {high}, not {value}")

@@ -75,7 +75,7 @@ def read_tree(path: str | os.PathLike[str], layout: str | None = None, name: str
     Raises
     ------
     MibvhError
-        If the file cannot be read, or holds no sound tree.
+        If the file cannot be read, or holds no valid tree.
     """
     path = Path(path)
     if layout is None:

@@ -71,7 +71,7 @@ def renumbered(
 
 
 def to_arrays(tree: Nodes) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of a sound tree; see :meth:`mibvh.Tree.to_arrays`."""
+    """Arrays of a valid tree; see :meth:`mibvh.Tree.to_arrays`."""
     return {
         "lower": tree.lower,
         "upper": tree.upper,

@@ -317,15 +317,14 @@ def read_study(folder: str | os.PathLike[str]) -> Study:
     finished = store.read(_FINISHED) if store else None
     if store is None or finished is None:
         raise MibvhError(f"{folder}: there is no finished scene of a study in this folder")
+    if isinstance(finished, dict) and finished.get("format", FORMAT) != FORMAT:
+        raise MibvhError(
+            f"{folder}: this study was made by another version of mibvh; run it again with this one"
+        )
     try:
         listed = from_json(_Finished, finished)
         records = [_read_record(store, name) for name in listed.scenes]
     except MibvhError:
-        if isinstance(finished, dict) and finished.get("format", FORMAT) != FORMAT:
-            raise MibvhError(
-                f"{folder}: this study was made by another version of mibvh; run it again with "
-                "this one"
-            ) from None
         raise MibvhError(
             f"{folder}: a scene of this study is damaged; run it again to mend it"
         ) from None
