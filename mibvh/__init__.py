@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mibvh.collapsing import collapse, unfold
     from mibvh.errors import MibvhError
     from mibvh.layouts import read_tree, write_tree
+    from mibvh.measures import Area, Flux, Segments
     from mibvh.metrics.epo import epo, epo_per_depth, epo_per_node
     from mibvh.metrics.lines import RayLines, ray_lines, sah_of_lines
     from mibvh.metrics.points import (
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
         path_length_ratio,
     )
     from mibvh.metrics.sah import sah, sah_per_node
+    from mibvh.optimised import optimize
     from mibvh.quantise import quantised
     from mibvh.rays import Mixture, RaySet, diffuse_rays, make_rays, read_rays
     from mibvh.scene import Scene, load
@@ -44,9 +46,11 @@ if TYPE_CHECKING:
     from mibvh.wide_tree import WideTree
 
 _PUBLIC = {
+    "Area": "mibvh.measures",
     "Context": "mibvh.builders",
     "Draft": "mibvh.builders",
     "Estimate": "mibvh.metrics.points",
+    "Flux": "mibvh.measures",
     "Hits": "mibvh.traversal.trace",
     "MibvhError": "mibvh.errors",
     "Mixture": "mibvh.rays",
@@ -56,6 +60,7 @@ _PUBLIC = {
     "RaySet": "mibvh.rays",
     "References": "mibvh.builders",
     "Scene": "mibvh.scene",
+    "Segments": "mibvh.measures",
     "Study": "mibvh.studies",
     "StudyOptions": "mibvh.studies",
     "Tree": "mibvh.tree",
@@ -75,6 +80,7 @@ _PUBLIC = {
     "fit_alpha": "mibvh.metrics.predictor",
     "load": "mibvh.scene",
     "make_rays": "mibvh.rays",
+    "optimize": "mibvh.optimised",
     "option": "mibvh.builders",
     "path_length_ratio": "mibvh.metrics.predictor",
     "plot": "mibvh",
@@ -95,9 +101,11 @@ _PUBLIC = {
 }
 
 __all__ = [
+    "Area",
     "Context",
     "Draft",
     "Estimate",
+    "Flux",
     "Hits",
     "MibvhError",
     "Mixture",
@@ -107,6 +115,7 @@ __all__ = [
     "RaySet",
     "References",
     "Scene",
+    "Segments",
     "Study",
     "StudyOptions",
     "Tree",
@@ -127,6 +136,7 @@ __all__ = [
     "fit_alpha",
     "load",
     "make_rays",
+    "optimize",
     "option",
     "path_length_ratio",
     "plot",

@@ -212,11 +212,11 @@ def build_command(
     from mibvh import build, sah
 
     options = _parse_options(option or [])
-    triangles = _load(scene, define).triangles
+    loaded = _load(scene, define)  # whole: `finite` asks it for rays
     with _progress() as bar:
         task = bar.add_task(f"build {builder}", total=1.0)
         tree = build(
-            triangles,
+            loaded,
             builder,
             progress=_show(bar, task, builder),
             **options,
@@ -231,6 +231,32 @@ def build_command(
         "report": tree.meta["report"],
     }
     _print(result, as_json)
+
+
+@app.command("optimize")
+def optimize_command(
+    scene: SceneArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="the tree file to write")],
+    option: Annotated[
+        list[str] | None, typer.Option(help="NAME=VALUE of the builder `finite`")
+    ] = None,
+    define: Define = None,
+    as_json: Json = False,
+) -> None:
+    """Build the best tree for a scene and its cameras, and say what it saves."""
+    from mibvh import optimize
+
+    options = _parse_options(option or [])
+    loaded = _load(scene, define)
+    with _progress() as bar:
+        task = bar.add_task("optimize", total=1.0)
+        found = optimize(loaded, progress=_show(bar, task), **options)
+    found.tree.save(output)
+    if as_json:
+        result = {"builder": found.tree.meta["builder"], "costs": found.costs, "rays": found.rays}
+        _print({**result, "report": found.tree.meta["report"]}, True)
+        return
+    typer.echo(f"{output}: {found.sentence()}")
 
 
 @app.command()
@@ -587,9 +613,9 @@ def report(
 @app.command()
 def builders(as_json: Json = False) -> None:
     """List the builders, their sources and options."""
-    from mibvh.builders import get, names
+    from mibvh.builders import all_names, get
 
-    described = [get(name).describe() for name in names()]
+    described = [get(name).describe() for name in all_names()]
     if as_json:
         typer.echo(json.dumps({"builders": described}))
         return

@@ -79,6 +79,26 @@ class Scene:
         """The scene as Mitsuba renders it, instances included; None for a bare mesh."""
         return self.reload() if self.reload else self.original
 
+    def few_rays(self, count: int, seed: int) -> Any:
+        """Path-trace about so many diffuse rays, as many for each viewpoint.
+
+        What the `finite` builder asks a scene for.
+
+        Parameters
+        ----------
+        count, seed : int
+
+        Returns
+        -------
+        RaySet
+        """
+        from mibvh.rays import diffuse_rays  # which needs scenes
+
+        pixels = max(1.0, count / len(self.sensors))
+        height = max(1, round((pixels * 0.75) ** 0.5))
+        width = max(1, round(pixels / height))
+        return diffuse_rays(self, width=width, height=height, samples=1, seed=seed)
+
 
 def mitsuba_geometry(triangles: Triangles) -> Any:
     """Make a Mitsuba scene of one mesh whose ``prim_index`` is the triangle id."""

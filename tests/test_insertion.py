@@ -20,6 +20,8 @@ from mibvh.builders.insertion import (
     _search,
     bittner,
 )
+from mibvh.measures import Flux, Segments
+from mibvh.measures.boxes import of_boxes
 
 COSTS = {"c_inner": 1.2, "c_tri": 1.0, "max_leaf": 8}
 
@@ -131,28 +133,30 @@ def test_the_place_found_is_the_best_of_all(kind):
     def joint(entry, box):
         at = 8 * (entry & 1)
         low = np.minimum(rows[entry >> 1, at : at + 3], box[:3])
-        high = np.maximum(rows[entry >> 1, at + 3 : at + 6], box[3:])
+        high = np.maximum(rows[entry >> 1, at + 3 : at + 6], box[3:6])
         x, y, z = high.astype(float) - low
         return x * y + (x + y) * z
 
     def cost(entry, box):
-        grown = (joint(a, box) - _area(rows, a >> 1, 8 * (a & 1)) for a in entries[entry])
+        grown = (joint(a, box) - _area(None, rows, a >> 1, 8 * (a & 1)) for a in entries[entry])
         return sum(grown) + joint(entry, box)
 
     for _ in range(40):
         low = rng.random(3) if kind != "coarse" else rng.integers(0, 4, 3) / 4
-        box = np.r_[low, low + rng.random(3) * 0.3 * rng.integers(0, 2)].astype(np.float32)
+        box = np.r_[low, low + rng.random(3) * 0.3 * rng.integers(0, 2), 0].astype(np.float32)
         costs = {entry: cost(entry, box) for entry in entries}
         least = min(costs.values())
         for near in rng.choice(list(entries), 3):
-            place, found = _search(rows, rows.view(np.int32), up, box, near, np.inf, *state.heap)
+            place, found = _search(
+                None, rows, rows.view(np.int32), up, box, near, np.inf, *state.heap
+            )
             assert found == pytest.approx(least, rel=1e-11)
             assert costs[place] == pytest.approx(least, rel=1e-11)
             # A limit that nothing is below, and one that only the best are.
             args = rows, rows.view(np.int32), up, box, near
-            assert _search(*args, least * (1 - 1e-9), *state.heap)[0] == -1
+            assert _search(None, *args, least * (1 - 1e-9), *state.heap)[0] == -1
             if least > 0:
-                place, _ = _search(*args, least * (1 + 1e-9), *state.heap)
+                place, _ = _search(None, *args, least * (1 + 1e-9), *state.heap)
                 assert costs[place] == pytest.approx(least, rel=2e-9)
 
 
@@ -180,14 +184,14 @@ def test_inefficiency_by_hand():
     ids = [np.array([i]) for i in range(3)]
     draft = Draft.from_nested((ids[0], (ids[1], ids[2])), data)
     state = _Optimiser(draft, InsertionOptions())
-    values, total = _inefficiency(state.rows, state.up, state.tried)
+    values, total = _inefficiency(None, state.rows, state.up, state.tried)
     scale = draft.references.scale**2
     # Row 1 is the root and never selected; row 2 has area 17 and children of 3 and 17.
     assert values[1] == 0
     assert values[2] == pytest.approx(scale * 17 / 10 * 17 / 3 * 17, rel=1e-6)
     assert total == pytest.approx(scale * (17 + 17))
     state.tried[2] = True
-    assert not _inefficiency(state.rows, state.up, state.tried)[0].any()
+    assert not _inefficiency(None, state.rows, state.up, state.tried)[0].any()
 
 
 def test_selection_equals_a_full_sort():
@@ -300,3 +304,44 @@ def test_progress_rises_to_one():
 def test_impossible_options_are_refused(wrong):
     with pytest.raises(mibvh.MibvhError):
         mibvh.build(soup("mixed sizes", 10), "bittner", **wrong)
+
+
+def test_by_another_measure_rows_keep_it_and_the_search_finds_the_best_of_all():
+    rng = np.random.default_rng(8)
+    draft = random_draft(soup("mixed sizes", 60))
+    ends = rng.random((2, 500, 3)).astype(np.float32) * 2
+    flux = Flux(Segments(*ends, np.zeros(500, np.int32)), planes=12)
+    measure = flux.compiled(draft.references.scale)
+    state = _Optimiser(draft, InsertionOptions(batch=0.2), measure)
+    for _ in range(4):
+        state.batch(state.select(at_random=False), Context())
+    rows, up = state.rows, state.up
+    entries = entries_of(rows)
+
+    def box_of(entry):
+        return rows[entry >> 1, 8 * (entry & 1) : 8 * (entry & 1) + 7]
+
+    def value(box):
+        return of_boxes(measure, np.asarray(box, np.float32)[None, :6])[0]
+
+    for entry in entries:
+        assert box_of(entry)[6] == value(box_of(entry))
+
+    def joint(entry, box):
+        own = box_of(entry)
+        return value(np.r_[np.minimum(own[:3], box[:3]), np.maximum(own[3:6], box[3:6])])
+
+    def cost(entry, box):
+        grown = sum(joint(a, box) - value(box_of(a)) for a in entries[entry])
+        return grown + joint(entry, box)
+
+    for _ in range(15):
+        low = rng.random(3)
+        box = np.r_[low, low + rng.random(3) * 0.3, 0].astype(np.float32)
+        box[6] = value(box)
+        costs = {entry: cost(entry, box) for entry in entries}
+        near = rng.choice(list(entries))
+        links = rows.view(np.int32)
+        place, found = _search(measure, rows, links, up, box, near, np.inf, *state.heap)
+        assert found == pytest.approx(min(costs.values()), rel=1e-5)
+        assert costs[place] == pytest.approx(min(costs.values()), rel=1e-5)

@@ -78,7 +78,7 @@ def test_best_plane_is_the_cheapest_of_all(seed, size, count):
     whole = np.zeros(8, np.float32)
     whole[0:3], whole[4:7] = refs.lower[rows].min(axis=0), -refs.upper[rows].max(axis=0)
     axis, plane = best_plane(
-        triangles.corners, refs.scale, lists, 0, size, size, count, whole,
+        None, triangles.corners, refs.scale, lists, 0, size, size, count, whole,
         np.float32(np.inf), new_bins(count, size, size),
     )  # fmt: skip
     costs = cheapest_plane(triangles, refs, rows, count)
@@ -129,7 +129,7 @@ def test_unsplitting_by_hand():
     halves[1, [0, 4]] = 1, -2
     parts[:] = np.arange(3)[:, None]
     rows, side = np.arange(3, dtype=np.uint32), np.full(3, 9, np.uint8)
-    left, right, cut, cost = _unsplit(lists, 3, 5, 5, rows, side, parts, halves)
+    left, right, cut, cost = _unsplit(None, lists, 3, 5, 5, rows, side, parts, halves)
     assert (left, right, cut) == (4, 4, 1)
     assert cost == pytest.approx(24.016, rel=1e-5)
     assert side.tolist() == [0, 1, 2]

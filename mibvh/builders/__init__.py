@@ -1,7 +1,18 @@
 """Builders: one file per algorithm family, and a registry that users can add to."""
 
 from mibvh.builders.draft import Draft, References
-from mibvh.builders.registry import Builder, Context, Options, build, builder, get, names, option
+from mibvh.builders.registry import (
+    Builder,
+    Context,
+    Options,
+    all_names,
+    build,
+    builder,
+    get,
+    later_names,
+    names,
+    option,
+)
 
 __all__ = [
     "Builder",
@@ -9,9 +20,11 @@ __all__ = [
     "Draft",
     "Options",
     "References",
+    "all_names",
     "build",
     "builder",
     "get",
+    "later_names",
     "names",
     "option",
 ]

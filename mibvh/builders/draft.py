@@ -102,6 +102,9 @@ class Draft:
     report : dict
         JSON-able facts the builder wants kept with the tree (iterations, SAH before and
         after, ...).
+    measure : None or tuple
+        Compiled measure that leaves are to be collapsed by, where that is not the one the build
+        was asked for.
     """
 
     references: References
@@ -109,6 +112,7 @@ class Draft:
     right: I32
     reference: I32
     report: dict[str, Any] = dataclasses.field(default_factory=dict)
+    measure: Any = None
 
     @classmethod
     def from_nested(cls, nested: Any, triangles: Triangles) -> Draft:

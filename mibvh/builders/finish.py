@@ -18,8 +18,8 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft
+from mibvh.builders.measured import exact_cost_of
 from mibvh.builders.simd import (
-    half_area_exact,
     load,
     load_corners,
     store,
@@ -67,7 +67,9 @@ def _drop_repeats(ids, first, count):
 
 
 @njit
-def _walk(left, right, reference, lower, upper, triangle, split, costs, max_leaf, unscale, out):
+def _walk(
+    left, right, reference, lower, upper, triangle, split, costs, max_leaf, unscale, out, measure
+):
     """Walk a draft once, backwards, and write the tree.
 
     A finished subtree is a handful of numbers: its box, its least cost times its area, its
@@ -92,6 +94,8 @@ def _walk(left, right, reference, lower, upper, triangle, split, costs, max_leaf
     out : tuple of arrays
         lower, upper (2R - 1, 3); left, first, count (2R - 1,); references (R,): written
         from their ends.
+    measure : None or tuple
+        Of boxes; None is the area.
 
     Returns
     -------
@@ -122,7 +126,7 @@ def _walk(left, right, reference, lower, upper, triangle, split, costs, max_leaf
         # A leaf: the finished subtree is one reference.
         r = np.uint64(reference[node])
         box = load_corners(lower, upper, r)
-        area = half_area_exact(box)
+        area = exact_cost_of(measure, box)
         cost = c_tri * area
         written -= one
         ids[written] = triangle[r]
@@ -138,7 +142,7 @@ def _walk(left, right, reference, lower, upper, triangle, split, costs, max_leaf
             out_left[place + one], out_first[place + one] = rest_of[top, 0], rest_of[top, 1]
             out_count[place + one] = rest_of[top, 2]
             box = union(box, other)
-            area = half_area_exact(box)
+            area = exact_cost_of(measure, box)
             cost = cost_of[top] + cost + c_inner * area
             child, count = np.int32(place), count + rest_of[top, 2]
             height = max(height, rest_of[top, 3]) + np.int32(1)
@@ -255,7 +259,12 @@ def _outputs(count: int) -> tuple[F32, F32, I32, I32, I32, I32]:
 
 
 def _run(
-    draft: Draft, out: tuple[Any, ...], split: bool, c_inner: float, c_tri: float, max_leaf: int
+    draft: Draft,
+    out: tuple[Any, ...],
+    split: bool,
+    costs: tuple[float, float],
+    max_leaf: int,
+    measure: Any,
 ) -> tuple[Any, ...]:
     refs = draft.references
     return _walk(
@@ -266,15 +275,22 @@ def _run(
         refs.upper,
         refs.triangle,
         split,
-        (c_inner, c_tri),
+        costs,
         max_leaf,
         np.float32(1.0 / refs.scale),
         out,
+        measure,
     )
 
 
 def finish(
-    draft: Draft, *, c_inner: float, c_tri: float, max_leaf: int, meta: dict[str, Any]
+    draft: Draft,
+    *,
+    c_inner: float,
+    c_tri: float,
+    max_leaf: int,
+    meta: dict[str, Any],
+    measure: Any = None,
 ) -> Tree:
     """Make the tree of a draft.
 
@@ -288,6 +304,8 @@ def finish(
         Largest number of triangles in a leaf.
     meta : dict
         Kept as ``tree.meta``.
+    measure : None or tuple
+        Of boxes, compiled: what the collapse goes by; the area by default.
 
     Returns
     -------
@@ -296,12 +314,12 @@ def finish(
     """
     split = meta["triangles"] < len(draft.references)
     out = _outputs(len(draft.references))
-    nodes, written, height, _, _ = _run(draft, out, split, c_inner, c_tri, max_leaf)
+    nodes, written, height, _, _ = _run(draft, out, split, (c_inner, c_tri), max_leaf, measure)
     if height > MAX_DEPTH:
         links = draft.left.copy(), draft.right.copy(), draft.reference.copy()
         _repair(*links, _REPAIR_DEPTH)
         draft = Draft(draft.references, *links, draft.report)
-        nodes, written, _, _, _ = _run(draft, out, split, c_inner, c_tri, max_leaf)
+        nodes, written, _, _, _ = _run(draft, out, split, (c_inner, c_tri), max_leaf, measure)
         meta = {**meta, "depth_repaired": True}
     for array in out:
         array.flags.writeable = False  # a tree copies what can be written to
@@ -309,14 +327,17 @@ def finish(
     return Tree(lower, upper, left, first, count, out[5][len(out[5]) - written :], meta)
 
 
-def draft_sah(draft: Draft, *, c_inner: float, c_tri: float, max_leaf: int) -> float:
+def draft_sah(
+    draft: Draft, *, c_inner: float, c_tri: float, max_leaf: int, measure: Any = None
+) -> float:
     """SAH of the tree that a draft will become (before any repair of its depth).
 
-    Optimisers judge their progress by this: what counts is the tree after the collapse.
+    Optimisers judge their progress by this: what counts is the tree after the collapse. With a
+    compiled measure, it is the sum of the nodes' costs by that, over the measure of the root.
     """
     split = bool(_has_repeats(draft.references.triangle))
     out = _outputs(len(draft.references))
-    nodes, written, _, cost, area = _run(draft, out, split, c_inner, c_tri, max_leaf)
+    nodes, written, _, cost, area = _run(draft, out, split, (c_inner, c_tri), max_leaf, measure)
     if area > 0:
         return float(cost / area)
     # Where the root has no area, the SAH takes every ratio of areas as 1.

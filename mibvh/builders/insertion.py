@@ -44,6 +44,7 @@ from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.finish import draft_boxes, draft_sah
 from mibvh.builders.registry import Context, Options, builder, option
+from mibvh.measures.boxes import of_corners
 from mibvh.triangles import F32, I32, Triangles
 
 #: Nodes handled between two reports of progress.
@@ -72,13 +73,13 @@ class InsertionOptions(Options):
 
 
 # Rows: (n, 16) float32. Row r > 0 is an inner node; half of it (8 words) describes a child:
-# lower corner, upper corner, a spare word, and as an integer the child's row, or ~reference
-# if it is a leaf. Entry 2 * r + side names such a half. Row 0 stands above the root, which is
-# entry 0, so that the root needs no special care. ``up[r]`` is the entry of row r.
+# lower corner, upper corner, its measure unless that is the area, and as an integer the child's
+# row, or ~reference if it is a leaf. Entry 2 * r + side names such a half. Row 0 stands above the
+# root, which is entry 0, so that the root needs no special care. ``up[r]`` is the entry of row r.
 
 
 @njit
-def _rows_of(left, right, reference, boxes):
+def _rows_of(left, right, reference, boxes, measure):
     """Make rows of a draft, numbered parents first, left subtrees first."""
     n = len(left) // 2 + 1
     rows = np.zeros((n, 16), np.float32)
@@ -93,6 +94,7 @@ def _rows_of(left, right, reference, boxes):
         row, at = entry >> 1, (entry & 1) << 3
         for i in range(6):
             rows[row, at + i] = boxes[node, i]
+        _remeasure(measure, rows, row, at)
         if left[node] < 0:
             links[row, at + 7] = ~reference[node]
             continue
@@ -122,25 +124,45 @@ def _draft_of(rows: F32, references: References, report: dict[str, Any]) -> Draf
 
 
 @njit
-def _area(rows, row, at):
-    """Half area of an entry, float64."""
-    x = np.float64(rows[row, at + 3]) - np.float64(rows[row, at])
-    y = np.float64(rows[row, at + 4]) - np.float64(rows[row, at + 1])
-    z = np.float64(rows[row, at + 5]) - np.float64(rows[row, at + 2])
-    return x * y + (x + y) * z
+def _area(measure, rows, row, at):
+    """Measure of an entry, float64: half its area, or what is kept beside the box."""
+    if measure is None:
+        x = np.float64(rows[row, at + 3]) - np.float64(rows[row, at])
+        y = np.float64(rows[row, at + 4]) - np.float64(rows[row, at + 1])
+        z = np.float64(rows[row, at + 5]) - np.float64(rows[row, at + 2])
+        return x * y + (x + y) * z
+    return np.float64(rows[row, at + 6])
 
 
 @njit
-def _joint_area(rows, row, at, x0, y0, z0, x1, y1, z1):
-    """Half area of the box that joins an entry to the box given, float64."""
-    x = np.float64(max(rows[row, at + 3], x1)) - np.float64(min(rows[row, at], x0))
-    y = np.float64(max(rows[row, at + 4], y1)) - np.float64(min(rows[row, at + 1], y0))
-    z = np.float64(max(rows[row, at + 5], z1)) - np.float64(min(rows[row, at + 2], z0))
-    return x * y + (x + y) * z
+def _remeasure(measure, rows, row, at):
+    """Keep the measure of an entry beside its new box."""
+    if measure is not None:
+        rows[row, at + 6] = of_corners(
+            measure, rows[row, at], rows[row, at + 1], rows[row, at + 2],
+            rows[row, at + 3], rows[row, at + 4], rows[row, at + 5],
+        )  # fmt: skip
 
 
 @njit
-def _refit(rows, up, row):
+def _joint_area(measure, rows, row, at, x0, y0, z0, x1, y1, z1):
+    """Measure of the box that joins an entry to the box given, float64."""
+    if measure is None:
+        x = np.float64(max(rows[row, at + 3], x1)) - np.float64(min(rows[row, at], x0))
+        y = np.float64(max(rows[row, at + 4], y1)) - np.float64(min(rows[row, at + 1], y0))
+        z = np.float64(max(rows[row, at + 5], z1)) - np.float64(min(rows[row, at + 2], z0))
+        return x * y + (x + y) * z
+    a, b, c = rows[row, at], rows[row, at + 1], rows[row, at + 2]
+    d, e, f = rows[row, at + 3], rows[row, at + 4], rows[row, at + 5]
+    if a <= x0 and b <= y0 and c <= z0 and d >= x1 and e >= y1 and f >= z1:
+        return np.float64(rows[row, at + 6])
+    return of_corners(
+        measure, min(a, x0), min(b, y0), min(c, z0), max(d, x1), max(e, y1), max(f, z1)
+    )
+
+
+@njit
+def _refit(measure, rows, up, row):
     """Recompute the box of a row and of those above it, as far as they change.
 
     Returns the area that the tree loses by it (negative where boxes grow).
@@ -149,7 +171,7 @@ def _refit(rows, up, row):
     while row != 0:
         entry = up[row]
         above, at = entry >> 1, (entry & 1) << 3
-        before = _area(rows, above, at)
+        before = _area(measure, rows, above, at)
         changed = False
         for i in range(3):
             low = min(rows[row, i], rows[row, i + 8])
@@ -158,13 +180,14 @@ def _refit(rows, up, row):
             rows[above, at + i], rows[above, at + i + 3] = low, high
         if not changed:
             break
-        saved += before - _area(rows, above, at)
+        _remeasure(measure, rows, above, at)
+        saved += before - _area(measure, rows, above, at)
         row = above
     return saved
 
 
 @njit
-def _remove(rows, links, up, entry):
+def _remove(measure, rows, links, up, entry):
     """Take an entry out of the tree, and the row it is in: its sibling takes their place.
 
     Returns the area saved above and in that row, and the entry where the sibling is now.
@@ -172,21 +195,21 @@ def _remove(rows, links, up, entry):
     row, at = entry >> 1, (entry & 1) << 3
     place = up[row]
     above, at_above = place >> 1, (place & 1) << 3
-    saved = _area(rows, above, at_above)
+    saved = _area(measure, rows, above, at_above)
     for i in range(8):
         links[above, at_above + i] = links[row, 8 - at + i]
     if links[above, at_above + 7] > 0:
         up[links[above, at_above + 7]] = place
-    return saved + _refit(rows, up, above), place
+    return saved + _refit(measure, rows, up, above), place
 
 
 @njit
-def _insert(rows, links, up, place, row, box, link):
+def _insert(measure, rows, links, up, place, row, box, link):
     """Put a subtree, by box and link, beside the one at an entry; ``row`` joins the two."""
     above, at = place >> 1, (place & 1) << 3
     for i in range(8):
         links[row, i] = links[above, at + i]
-    for i in range(6):
+    for i in range(7):
         rows[row, 8 + i] = box[i]
     links[row, 15] = link
     if links[row, 7] > 0:
@@ -195,28 +218,30 @@ def _insert(rows, links, up, place, row, box, link):
         up[link] = 2 * row + 1
     links[above, at + 7] = row
     up[row] = place
-    _refit(rows, up, row)
+    _refit(measure, rows, up, row)
 
 
 @njit
-def _cost_at(rows, up, place, x0, y0, z0, x1, y1, z1):
+def _cost_at(measure, rows, up, place, x0, y0, z0, x1, y1, z1):
     """Return what inserting a box at an entry costs."""
     row, at = place >> 1, (place & 1) << 3
-    cost = _joint_area(rows, row, at, x0, y0, z0, x1, y1, z1)
+    cost = _joint_area(measure, rows, row, at, x0, y0, z0, x1, y1, z1)
     while row != 0:
         entry = up[row]
         row, at = entry >> 1, (entry & 1) << 3
-        cost += _joint_area(rows, row, at, x0, y0, z0, x1, y1, z1) - _area(rows, row, at)
+        grown = _joint_area(measure, rows, row, at, x0, y0, z0, x1, y1, z1)
+        cost += grown - _area(measure, rows, row, at)
     return cost
 
 
 @njit
-def _search(rows, links, up, box, near, limit, keys, queue):
+def _search(measure, rows, links, up, box, near, limit, keys, queue):
     """Find where inserting a box costs least.
 
     Parameters
     ----------
-    box : (6,) float32
+    box : (7,) float32
+        Lower corner, upper corner, and the measure unless that is the area.
     near : int
         An entry likely to be good: where the search starts to bound from.
     limit : float
@@ -230,18 +255,20 @@ def _search(rows, links, up, box, near, limit, keys, queue):
         -1 where there is no place below the limit.
     """
     x0, y0, z0, x1, y1, z1 = box[0], box[1], box[2], box[3], box[4], box[5]
-    x, y, z = np.float64(x1) - x0, np.float64(y1) - y0, np.float64(z1) - z0
-    area = x * y + (x + y) * z
+    area = np.float64(box[6])
+    if measure is None:
+        x, y, z = np.float64(x1) - x0, np.float64(y1) - y0, np.float64(z1) - z0
+        area = x * y + (x + y) * z
     place, best = -1, limit
-    bound = _cost_at(rows, up, near, x0, y0, z0, x1, y1, z1)
+    bound = _cost_at(measure, rows, up, near, x0, y0, z0, x1, y1, z1)
     if bound < best:
         # A little above, so that the search itself finds this place or a better one, and
         # which of equal ones it finds does not depend on ``near``.
         place, best = near, bound * (1 + 1e-12)
-    cost = _joint_area(rows, 0, 0, x0, y0, z0, x1, y1, z1)
+    cost = _joint_area(measure, rows, 0, 0, x0, y0, z0, x1, y1, z1)
     if cost < best:
         place, best = 0, cost
-    keys[0], queue[0] = cost - _area(rows, 0, 0), links[0, 7]
+    keys[0], queue[0] = cost - _area(measure, rows, 0, 0), links[0, 7]
     size = 1 if links[0, 7] > 0 else 0
     while size > 0 and keys[0] + area < best:
         induced, row = keys[0], queue[0]
@@ -258,11 +285,11 @@ def _search(rows, links, up, box, near, limit, keys, queue):
         keys[i], queue[i] = key, value
         for side in range(2):
             at = side << 3
-            joint = _joint_area(rows, row, at, x0, y0, z0, x1, y1, z1)
+            joint = _joint_area(measure, rows, row, at, x0, y0, z0, x1, y1, z1)
             cost = induced + joint
             if cost < best:
                 place, best = 2 * row + side, cost
-            key, value = induced + (joint - _area(rows, row, at)), links[row, at + 7]
+            key, value = induced + (joint - _area(measure, rows, row, at)), links[row, at + 7]
             if value > 0 and key + area < best:
                 i = size
                 size += 1
@@ -274,7 +301,7 @@ def _search(rows, links, up, box, near, limit, keys, queue):
 
 
 @njit
-def _move(rows, links, up, node, undo, boxes, keys, queue):
+def _move(measure, rows, links, up, node, undo, boxes, keys, queue):
     """Remove a node and its parent, reinsert its two children.
 
     Returns
@@ -284,54 +311,54 @@ def _move(rows, links, up, node, undo, boxes, keys, queue):
     saved : float
         The area the tree loses.
     """
-    larger = 0 if _area(rows, node, 0) >= _area(rows, node, 8) else 8
+    larger = 0 if _area(measure, rows, node, 0) >= _area(measure, rows, node, 8) else 8
     entry = up[node]
     parent = entry >> 1
-    for i in range(6):
+    for i in range(7):
         boxes[0, i] = rows[node, larger + i]
         boxes[1, i] = rows[node, 8 - larger + i]
         boxes[2, i] = rows[parent, ((entry & 1) << 3) + i]
     link_0, link_1 = links[node, larger + 7], links[node, 15 - larger]
-    least_1 = _area(rows, node, 8 - larger)
-    own = _area(rows, parent, (entry & 1) << 3)
-    saved, place = _remove(rows, links, up, entry)
+    least_1 = _area(measure, rows, node, 8 - larger)
+    own = _area(measure, rows, parent, (entry & 1) << 3)
+    saved, place = _remove(measure, rows, links, up, entry)
     saved += own
     limit = saved - _GAIN * own if undo else np.inf
-    to, cost_0 = _search(rows, links, up, boxes[0], place, limit - least_1, keys, queue)
+    to, cost_0 = _search(measure, rows, links, up, boxes[0], place, limit - least_1, keys, queue)
     if to >= 0:
-        _insert(rows, links, up, to, node, boxes[0], link_0)
+        _insert(measure, rows, links, up, to, node, boxes[0], link_0)
         near = 2 * node + 1
-        to, cost_1 = _search(rows, links, up, boxes[1], near, limit - cost_0, keys, queue)
+        to, cost_1 = _search(measure, rows, links, up, boxes[1], near, limit - cost_0, keys, queue)
         if to >= 0:
-            _insert(rows, links, up, to, parent, boxes[1], link_1)
+            _insert(measure, rows, links, up, to, parent, boxes[1], link_1)
             return True, saved - cost_0 - cost_1
-        _remove(rows, links, up, near)
-    for i in range(6):
+        _remove(measure, rows, links, up, near)
+    for i in range(7):
         rows[node, i], rows[node, i + 8] = boxes[0, i], boxes[1, i]
     links[node, 7], links[node, 15] = link_0, link_1
     if link_0 > 0:
         up[link_0] = 2 * node
     if link_1 > 0:
         up[link_1] = 2 * node + 1
-    _insert(rows, links, up, place, parent, boxes[2], node)
+    _insert(measure, rows, links, up, place, parent, boxes[2], node)
     return False, 0.0
 
 
 @njit
-def _batch(rows, up, selected, batch, done_in, tried, undo, keys, queue):
+def _batch(measure, rows, up, selected, batch, done_in, tried, undo, keys, queue):
     """Move the selected nodes in turn; return how many moved, and the area saved.
 
     A row that this batch has used already is another node by now, and is left alone:
     ``done_in`` holds the last batch that each row was used in.
     """
     links = rows.view(np.int32)
-    boxes = np.empty((3, 6), np.float32)
+    boxes = np.zeros((3, 7), np.float32)
     moves, saved = 0, 0.0
     for node in selected:
         parent = up[node] >> 1
         if parent == 0 or done_in[node] == batch:
             continue
-        moved, gain = _move(rows, links, up, node, undo, boxes, keys, queue)
+        moved, gain = _move(measure, rows, links, up, node, undo, boxes, keys, queue)
         done_in[node] = batch
         if moved:
             done_in[parent] = batch
@@ -344,15 +371,15 @@ def _batch(rows, up, selected, batch, done_in, tried, undo, keys, queue):
 
 
 @njit
-def _inefficiency(rows, up, tried):
+def _inefficiency(measure, rows, up, tried):
     """M_COMB of each row; 0 for rows that cannot be selected. Also the tree's summed area."""
     out = np.zeros(len(rows), np.float32)
     total = 0.0
     for r in range(1, len(rows)):
-        area = _area(rows, up[r] >> 1, (up[r] & 1) << 3)
+        area = _area(measure, rows, up[r] >> 1, (up[r] & 1) << 3)
         total += area
         if up[r] > 0 and not tried[r] and area > 0:
-            a, b = _area(rows, r, 0), _area(rows, r, 8)
+            a, b = _area(measure, rows, r, 0), _area(measure, rows, r, 8)
             least = max(min(a, b), _LEAST * area)
             mean = max(0.5 * (a + b), _LEAST * area)
             out[r] = (area / mean) * (area / least) * area
@@ -375,9 +402,10 @@ def _most(values: F32, count: int) -> I32:
 class _Optimiser:
     """The state of an optimisation, and one batch of it at a time."""
 
-    def __init__(self, draft: Draft, options: InsertionOptions) -> None:
+    def __init__(self, draft: Draft, options: InsertionOptions, measure: Any = None) -> None:
         boxes = draft_boxes(draft)
-        self.rows, self.up = _rows_of(draft.left, draft.right, draft.reference, boxes)
+        self.rows, self.up = _rows_of(draft.left, draft.right, draft.reference, boxes, measure)
+        self.measure = measure
         n = len(self.rows)
         self.options = options
         self.count = max(1, int(n * options.batch))
@@ -386,14 +414,14 @@ class _Optimiser:
         self.done_in = np.zeros(n, np.int32)
         self.heap = np.empty(n, np.float64), np.empty(n, np.int32)
         self.batches = self.moves = self.reinsertions = 0
-        self.cost = _inefficiency(self.rows, self.up, self.tried)[1]
+        self.cost = _inefficiency(self.measure, self.rows, self.up, self.tried)[1]
 
     def select(self, at_random: bool) -> I32:
         """Rows of the next batch, in the order they have in memory; none if all is said."""
-        values, _ = _inefficiency(self.rows, self.up, self.tried)
+        values, _ = _inefficiency(self.measure, self.rows, self.up, self.tried)
         if not values.any():
             self.tried[:] = False
-            values, _ = _inefficiency(self.rows, self.up, self.tried)
+            values, _ = _inefficiency(self.measure, self.rows, self.up, self.tried)
         if at_random:
             able = np.flatnonzero(values)
             if len(able) == 0:
@@ -408,6 +436,7 @@ class _Optimiser:
         self.reinsertions += 2 * len(selected)
         for begin in range(0, len(selected), _CHUNK):
             moves, saved = _batch(
+                self.measure,
                 self.rows,
                 self.up,
                 selected[begin : begin + _CHUNK],
@@ -433,13 +462,35 @@ class _Optimiser:
 def bittner(triangles: Triangles, options: InsertionOptions, context: Context) -> Draft:
     """Improve a tree by reinsertion; never returns one of higher SAH than it started from."""
     start = context.start(triangles, options.start, options)
+    draft = reinserted(start, options, context)
+    draft.report["start"] = options.start
+    return draft
+
+
+def reinserted(start: Draft, options: InsertionOptions, context: Context) -> Draft:
+    """Improve a draft by reinsertion.
+
+    Parameters
+    ----------
+    start : Draft
+    options : InsertionOptions
+    context : Context
+        Whose measure counts, and who is told of the progress.
+
+    Returns
+    -------
+    Draft
+        The start itself, with another report, where nothing better was found.
+    """
+    measure = context.compiled_measure(start.references.scale)
     common: dict[str, Any] = {
         "c_inner": options.c_inner,
         "c_tri": options.c_tri,
         "max_leaf": options.max_leaf,
+        "measure": measure,
     }
     start_sah = draft_sah(start, **common)
-    state = _Optimiser(start, options)
+    state = _Optimiser(start, options, measure)
     best, best_rows, failures = state.cost, state.rows, 0
     while failures < options.patience:
         selected = state.select(failures >= options.random_after)
@@ -456,7 +507,6 @@ def bittner(triangles: Triangles, options: InsertionOptions, context: Context) -
     context.progress("reinserting nodes", 1.0)
     report = {
         **start.report,
-        "start": options.start,
         "start_sah": start_sah,
         "end_sah": start_sah,
         "iterations": state.batches,

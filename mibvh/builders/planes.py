@@ -21,10 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mibvh._jit import njit
+from mibvh.builders.measured import cost_of
 from mibvh.builders.simd import (
     between,
     grid,
-    half_area,
     lane,
     load,
     load_point,
@@ -254,7 +254,7 @@ def _reach_planes(n, count, axis, origin, width, base, bin_cut, begins, ends):
 
 @njit(allocates=False)
 def _sweep_planes(
-    n, slack, count, base, first, last, limit, bin_box, bin_cut, begins, ends, areas
+    measure, n, slack, count, base, first, last, limit, bin_box, bin_cut, begins, ends, areas
 ):  # fmt: skip
     """Try the planes of one axis from the first to the last.
 
@@ -276,7 +276,7 @@ def _sweep_planes(
     for e in range(last, first - 1, -1):
         side = union(side, load(bin_box, base + e))
         n_right += ends[base + e]
-        areas[e] = half_area(union(side, load(bin_cut, base + e)))
+        areas[e] = cost_of(measure, union(side, load(bin_cut, base + e)))
         if areas[e] * np.float32(n_right) > limit:
             out = e
             break
@@ -289,7 +289,7 @@ def _sweep_planes(
         n_right -= ends[base + e - 1]
         if e <= out or n_left + n_right == n or n_left + n_right - n > slack:
             continue
-        cost = half_area(union(side, load(bin_cut, base + e))) * np.float32(n_left)
+        cost = cost_of(measure, union(side, load(bin_cut, base + e))) * np.float32(n_left)
         if cost > limit:
             break
         cost += areas[e] * np.float32(n_right)
@@ -301,11 +301,13 @@ def _sweep_planes(
 
 
 @njit(allocates=False)
-def best_plane(corners, scale, lists, first, n, slack, count, whole, limit, bins):
+def best_plane(measure, corners, scale, lists, first, n, slack, count, whole, limit, bins):
     """Find the best plane to cut a node at.
 
     Parameters
     ----------
+    measure : None or tuple
+        Of boxes; None is the area.
     corners : (N, 3, 3) float32
         The mesh, in scene units.
     scale : float64
@@ -352,7 +354,19 @@ def best_plane(corners, scale, lists, first, n, slack, count, whole, limit, bins
         bounds[k] = limit
         if low <= high:
             bounds[k], _, spans[k, 0], spans[k, 1] = _sweep_planes(
-                n, slack, count, k * most, low, high, limit, bin_box, bin_cut, begins, ends, areas
+                measure,
+                n,
+                slack,
+                count,
+                k * most,
+                low,
+                high,
+                limit,
+                bin_box,
+                bin_cut,
+                begins,
+                ends,
+                areas,
             )
     while True:
         k = 0 if bounds[0] <= bounds[1] else 1
@@ -366,7 +380,7 @@ def best_plane(corners, scale, lists, first, n, slack, count, whole, limit, bins
             bins.polygon, bins.spare, bins.points, bins.rows,
         )  # fmt: skip
         cost, at, _, _ = _sweep_planes(
-            n, slack, count, k * most, spans[k, 0], spans[k, 1], best,
+            measure, n, slack, count, k * most, spans[k, 0], spans[k, 1], best,
             bin_box, bin_cut, begins, ends, areas,
         )  # fmt: skip
         if at > 0:

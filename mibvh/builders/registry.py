@@ -14,6 +14,7 @@ from mibvh.builders.draft import Draft
 from mibvh.builders.finish import finish
 from mibvh.code import code_digest
 from mibvh.errors import MibvhError, did_you_mean
+from mibvh.measures import Area, Measure
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles, as_triangles
 from mibvh.version import __version__
@@ -51,6 +52,13 @@ class Options:
     max_leaf: int = option(8, "largest number of triangles in a leaf", 1, 255)
     c_inner: float = option(1.2, "cost of an inner node (the paper's constant)", 0.0, 1e6)
     c_tri: float = option(1.0, "cost of a triangle test (the paper's constant)", 1e-6, 1e6)
+    presplit: float = option(
+        0.0,
+        "references that splitting triangles up front may add, per triangle (0.3); for builders "
+        "that split none themselves",
+        0.0,
+        8.0,
+    )
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -67,6 +75,9 @@ class Options:
                 raise MibvhError(f"option {field.name} must be from {low} to {high}, not {value}")
 
 
+_AREA = Area()
+
+
 @dataclasses.dataclass(frozen=True)
 class Context:
     """What a builder may ask of its surroundings while it runs.
@@ -75,14 +86,31 @@ class Context:
     ----------
     progress : callable
         Called as ``progress(stage, done)`` with ``done`` from 0 to 1.
+    measure : Measure
+        What a box costs.
+    source : object
+        What the build was handed: a scene, where there is one, can trace rays.
     """
 
     progress: Callable[[str, float], None] = lambda stage, done: None
+    measure: Measure = _AREA
+    source: Any = None
+
+    def compiled_measure(self, scale: float) -> Any:
+        """Return the measure as kernels take it: None for the area, otherwise a tuple.
+
+        Parameters
+        ----------
+        scale : float
+            From scene to builder units (:attr:`References.scale`).
+        """
+        return self.measure.compiled(scale)
 
     def start(self, triangles: Any, name: str, options: Options) -> Draft:
         """Build the draft an optimiser starts from, with the optimiser's cost constants."""
         entry = get(name)
         common = {f.name: getattr(options, f.name) for f in dataclasses.fields(Options)}
+        common["presplit"] = 0.0  # done before the optimiser got the triangles
         return entry.draft(triangles, entry.options(**common), self)
 
 
@@ -157,6 +185,13 @@ _BUNDLED: dict[str, str] = {
 #: Builders that the paper's authors did not see, by the same rule. They are no part of the
 #: paper's comparison, so nothing takes them that does not ask for them.
 _LATER: dict[str, str] = {
+    "binned": "mibvh.builders.binned",
+    "ploc": "mibvh.builders.ploc",
+    "reinsertion": "mibvh.builders.reinsertion",
+    "bittner_sbvh": "mibvh.builders.combined",
+    "bittner_streelet": "mibvh.builders.combined",
+    "treelet_sbvh": "mibvh.builders.combined",
+    "finite": "mibvh.builders.finite",
     "embree": "mibvh.builders.embree",
 }
 _registered: dict[str, Builder] = {}
@@ -212,9 +247,20 @@ def builder(
 
 
 def names() -> list[str]:
-    """Names of all builders: the paper's first, then the user's in order of registration."""
+    """Names of the paper's builders, then the user's in order of registration."""
     known = [*_BUNDLED, *_LATER]
     return [*_BUNDLED, *(name for name in _registered if name not in known)]
+
+
+def later_names() -> list[str]:
+    """Names of the builders that came after the paper."""
+    return list(_LATER)
+
+
+def all_names() -> list[str]:
+    """All names: the paper's, the later ones, the user's."""
+    paper = list(_BUNDLED)
+    return [*paper, *_LATER, *(name for name in names() if name not in paper)]
 
 
 def get(name: str) -> Builder:
@@ -230,8 +276,8 @@ def get(name: str) -> Builder:
         importlib.import_module(bundled[name])
     if name not in _registered:
         raise MibvhError(
-            f"there is no builder {name!r}{did_you_mean(name, names())}; there are: "
-            f"{', '.join(names())}"
+            f"there is no builder {name!r}{did_you_mean(name, all_names())}; there are: "
+            f"{', '.join(all_names())}"
         )
     return _registered[name]
 
@@ -258,11 +304,21 @@ def _warm_up(name: str, progress: Callable[[str, float], None]) -> None:
     _warm.add(name)
 
 
+def _over_parts(entry: Builder, triangles: Triangles, options: Options, context: Context) -> Draft:
+    """Run a builder over the parts that splitting triangles up front makes."""
+    from mibvh.builders.splitting import as_boxes, over_parts, presplit  # compiled code
+
+    references = presplit(triangles, options.presplit)
+    plain = dataclasses.replace(options, presplit=0.0)
+    return over_parts(entry.draft(as_boxes(references), plain, context), references, entry.name)
+
+
 def build(
     triangles: Any,
     builder: str = "bbvh",
     *,
     progress: Callable[[str, float], None] | None = None,
+    measure: Measure | None = None,
     **options: Any,
 ) -> Tree:
     """Build a tree.
@@ -275,6 +331,9 @@ def build(
         A name from :func:`names`.
     progress : callable, optional
         Called as ``progress(stage, done)`` with ``done`` from 0 to 1.
+    measure : Measure, optional
+        What a box costs: ``Area()``, as in the papers, by default; ``Flux(segments)``, or one of
+        your own (:mod:`mibvh.measures`).
     **options
         The builder's options; ``max_leaf``, ``c_inner`` and ``c_tri`` are common to all.
 
@@ -289,7 +348,7 @@ def build(
         For an unknown builder or an impossible option, or where a builder of the user's own made
         no sound tree.
     """
-    triangles = as_triangles(triangles)
+    source, triangles = triangles, as_triangles(triangles)
     entry = get(builder)
     known = {f.name for f in dataclasses.fields(entry.options)}
     if unknown := sorted(set(options) - known):
@@ -297,11 +356,14 @@ def build(
             f"builder {builder} has no option {unknown[0]!r}; it has: {', '.join(sorted(known))}"
         )
     chosen = entry.options(**options)
-    context = Context(progress) if progress else Context()
+    context = Context(progress or Context.progress, measure or _AREA, source)
     _warm_up(builder, context.progress)
     context.progress("building", 0.0)
     started = time.perf_counter()
-    draft = entry.draft(triangles, chosen, context)
+    if chosen.presplit > 0:
+        draft = _over_parts(entry, triangles, chosen, context)
+    else:
+        draft = entry.draft(triangles, chosen, context)
     meta = {
         "builder": builder,
         "options": dataclasses.asdict(chosen),
@@ -318,6 +380,7 @@ def build(
         c_tri=chosen.c_tri,
         max_leaf=chosen.max_leaf,
         meta=meta,
+        measure=draft.measure or context.compiled_measure(draft.references.scale),
     )
     meta = {**tree.meta, "build_seconds": time.perf_counter() - started}
     # The tests see to it that the paper's builders make sound trees.

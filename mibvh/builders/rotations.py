@@ -38,6 +38,7 @@ from mibvh._jit import njit
 from mibvh.builders.draft import Draft
 from mibvh.builders.finish import draft_sah
 from mibvh.builders.registry import Context, Options, builder, option
+from mibvh.measures.boxes import of_corners
 from mibvh.triangles import F32, I32, Triangles
 
 #: A rotation must lower the sum of areas by this share of the node's area. It is far above
@@ -55,8 +56,10 @@ _CHANGED = np.uint8(4)  # it was rotated in this sweep, which its parent must he
 
 
 @njit
-def box_area(box, a):
-    """Half the surface area of a node's box, in float64."""
+def box_area(measure, box, a):
+    """Measure of a node's box, in float64: half its surface area where ``measure`` is None."""
+    if measure is not None:
+        return of_corners(measure, box[a, 0], box[a, 1], box[a, 2], box[a, 3], box[a, 4], box[a, 5])
     x = np.float64(box[a, 3]) - np.float64(box[a, 0])
     y = np.float64(box[a, 4]) - np.float64(box[a, 1])
     z = np.float64(box[a, 5]) - np.float64(box[a, 2])
@@ -64,8 +67,14 @@ def box_area(box, a):
 
 
 @njit
-def _union_area(box, a, b):
-    """Half the surface area of the box around two nodes."""
+def _union_area(measure, box, a, b):
+    """Measure of the box around two nodes."""
+    if measure is not None:
+        return of_corners(
+            measure,
+            min(box[a, 0], box[b, 0]), min(box[a, 1], box[b, 1]), min(box[a, 2], box[b, 2]),
+            max(box[a, 3], box[b, 3]), max(box[a, 4], box[b, 4]), max(box[a, 5], box[b, 5]),
+        )  # fmt: skip
     x = np.float64(max(box[a, 3], box[b, 3])) - np.float64(min(box[a, 0], box[b, 0]))
     y = np.float64(max(box[a, 4], box[b, 4])) - np.float64(min(box[a, 1], box[b, 1]))
     z = np.float64(max(box[a, 5], box[b, 5])) - np.float64(min(box[a, 2], box[b, 2]))
@@ -82,24 +91,24 @@ def _fit(left, right, box, node):
 
 
 @njit
-def rotation_change(left, right, box, node, kind):
+def rotation_change(measure, left, right, box, node, kind):
     """By how much a rotation changes the sum of inner areas; inf if there is no such one."""
     a, b = left[node], right[node]
     if kind < 2:
         if left[b] < 0:
             return np.inf
         stays = right[b] if kind == 0 else left[b]
-        return _union_area(box, a, stays) - box_area(box, b)
+        return _union_area(measure, box, a, stays) - box_area(measure, box, b)
     if kind < 4:
         if left[a] < 0:
             return np.inf
         stays = right[a] if kind == 2 else left[a]
-        return _union_area(box, b, stays) - box_area(box, a)
+        return _union_area(measure, box, b, stays) - box_area(measure, box, a)
     if left[a] < 0 or left[b] < 0:
         return np.inf
     goes, stays = (right[b], left[b]) if kind == 4 else (left[b], right[b])
-    after = _union_area(box, goes, right[a]) + _union_area(box, left[a], stays)
-    return after - (box_area(box, a) + box_area(box, b))
+    after = _union_area(measure, box, goes, right[a]) + _union_area(measure, box, left[a], stays)
+    return after - (box_area(measure, box, a) + box_area(measure, box, b))
 
 
 @njit
@@ -125,7 +134,7 @@ def rotate(left, right, box, node, kind):
 
 
 @njit
-def _hill_chunk(left, right, box, state, stack, top, steps):
+def _hill_chunk(measure, left, right, box, state, stack, top, steps):
     """Go on with a sweep of hill climbing, bottom-up, for at most so many steps.
 
     A sweep begins with the root alone on the stack and ends when the stack is empty. Nodes
@@ -155,9 +164,9 @@ def _hill_chunk(left, right, box, state, stack, top, steps):
         state[b] &= ~_CHANGED
         own = np.uint8(0)
         if dirty:
-            best, kind = -_LEAST * box_area(box, node), -1
+            best, kind = -_LEAST * box_area(measure, box, node), -1
             for k in range(6):
-                change = rotation_change(left, right, box, node, k)
+                change = rotation_change(measure, left, right, box, node, k)
                 if change < best:
                     best, kind = change, k
             if kind >= 0:
@@ -189,7 +198,7 @@ def _mix(x):
 
 
 @njit
-def _anneal_chunk(left, right, box, begin, end, seed, sweep, temperature, exponential):
+def _anneal_chunk(measure, left, right, box, begin, end, seed, sweep, temperature, exponential):
     """Propose one random rotation at each inner node from ``begin`` to ``end``.
 
     With u uniform, ``u < exp(-change / T)`` says the same as ``change < T * -log(u)``;
@@ -203,7 +212,7 @@ def _anneal_chunk(left, right, box, begin, end, seed, sweep, temperature, expone
             continue
         random = _mix(key + np.uint64(node) * np.uint64(0x9E3779B97F4A7C15))
         kind = np.int64(((random >> np.uint64(32)) * np.uint64(6)) >> np.uint64(32))
-        change = rotation_change(left, right, box, node, kind)
+        change = rotation_change(measure, left, right, box, node, kind)
         if change < temperature * exponential[random & np.uint64(len(exponential) - 1)]:
             rotate(left, right, box, node, kind)
             done += 1
@@ -212,12 +221,12 @@ def _anneal_chunk(left, right, box, begin, end, seed, sweep, temperature, expone
 
 
 @njit
-def inner_area(left, box):
-    """Sum of the areas of all inner nodes."""
+def inner_area(measure, left, box):
+    """Sum of the measures of all inner nodes."""
     total = 0.0
     for node in range(len(left)):
         if left[node] >= 0:
-            total += box_area(box, node)
+            total += box_area(measure, box, node)
     return total
 
 
@@ -270,7 +279,9 @@ def depth_first(draft: Draft) -> tuple[I32, I32, I32, I32, F32]:
     return _lay_out(draft.left, draft.right, draft.reference, refs.lower, refs.upper)
 
 
-def climb(left: I32, right: I32, box: F32, most: int, context: Context) -> tuple[int, int]:
+def climb(
+    measure: Any, left: I32, right: I32, box: F32, most: int, context: Context
+) -> tuple[int, int]:
     """Hill climbing in place, to a local minimum or for ``most`` sweeps.
 
     Returns
@@ -284,7 +295,7 @@ def climb(left: I32, right: I32, box: F32, most: int, context: Context) -> tuple
     while sweeps < most and len(left) > 1:
         stack[0], top, turned = 0, 1, 0
         while top > 0:
-            top, done = _hill_chunk(left, right, box, state, stack, top, _CHUNK)
+            top, done = _hill_chunk(measure, left, right, box, state, stack, top, _CHUNK)
             turned += done
             context.progress("hill climbing", 1.0 - 1.0 / (sweeps + 2))
         sweeps += 1
@@ -295,11 +306,14 @@ def climb(left: I32, right: I32, box: F32, most: int, context: Context) -> tuple
     return sweeps, rotations
 
 
-def judged(start: Draft, end: Draft, options: Options, report: dict[str, Any]) -> Draft:
+def judged(
+    measure: Any, start: Draft, end: Draft, options: Options, report: dict[str, Any]
+) -> Draft:
     """Return the better one of two drafts after the collapse, with a report on both."""
     costs: dict[str, Any] = {
         name: getattr(options, name) for name in ("c_inner", "c_tri", "max_leaf")
     }
+    costs["measure"] = measure
     start_sah, end_sah = draft_sah(start, **costs), draft_sah(end, **costs)
     better = end if end_sah <= start_sah else start
     report = {"start_sah": start_sah, "end_sah": min(start_sah, end_sah), **report}
@@ -323,11 +337,12 @@ class HillOptions(Options):
 def hill(triangles: Triangles, options: HillOptions, context: Context) -> Draft:
     """Rotate until no rotation lowers SAH."""
     start = context.start(triangles, options.start, options)
+    measure = context.compiled_measure(start.references.scale)
     left, right, reference, _, box = depth_first(start)
-    sweeps, rotations = climb(left, right, box, options.sweeps, context)
+    sweeps, rotations = climb(measure, left, right, box, options.sweeps, context)
     end = Draft(start.references, left, right, reference)
     report = {"start": options.start, "iterations": sweeps, "rotations": rotations}
-    return judged(start, end, options, report)
+    return judged(measure, start, end, options, report)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -352,9 +367,10 @@ class AnnealOptions(Options):
 def anneal(triangles: Triangles, options: AnnealOptions, context: Context) -> Draft:
     """Rotate at random while the temperature falls, and climb before and after."""
     start = context.start(triangles, options.start, options)
+    measure = context.compiled_measure(start.references.scale)
     left, right, reference, _, box = depth_first(start)
-    hill_sweeps, hill_rotations = climb(left, right, box, HillOptions.sweeps, context)
-    area = inner_area(left, box)
+    hill_sweeps, hill_rotations = climb(measure, left, right, box, HillOptions.sweeps, context)
+    area = inner_area(measure, left, box)
     mean = area / max(len(left) // 2, 1)
     # Quantiles of the exponential distribution; float32, so that the last bit of
     # somebody's logarithm decides nothing.
@@ -366,6 +382,7 @@ def anneal(triangles: Triangles, options: AnnealOptions, context: Context) -> Dr
         temperature = mean * options.hot ** (1.0 - done) * options.cold**done
         for begin in range(0, len(left), _CHUNK):
             taken, change = _anneal_chunk(
+                measure,
                 left,
                 right,
                 box,
@@ -384,9 +401,9 @@ def anneal(triangles: Triangles, options: AnnealOptions, context: Context) -> Dr
             best_left[:], best_right[:] = left, right
     found = Draft(start.references, best_left, best_right, reference)
     left, right, reference, _, box = depth_first(found)
-    sweeps, rotations = climb(left, right, box, HillOptions.sweeps, context)
+    sweeps, rotations = climb(measure, left, right, box, HillOptions.sweeps, context)
     end = Draft(start.references, left, right, reference)
-    scale = options.c_inner * mean / box_area(box, 0) if area > 0 else 0.0
+    scale = options.c_inner * mean / box_area(measure, box, 0) if area > 0 else 0.0
     report = {
         "start": options.start,
         "iterations": hill_sweeps + options.sweeps + sweeps,
@@ -395,4 +412,4 @@ def anneal(triangles: Triangles, options: AnnealOptions, context: Context) -> Dr
         # In units of SAH: a change of so much was taken with probability 1 / e.
         "temperatures": [scale * options.hot, scale * options.cold],
     }
-    return judged(start, end, options, report)
+    return judged(measure, start, end, options, report)

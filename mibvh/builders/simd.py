@@ -255,6 +255,16 @@ def grid(typing: Any, box: Any, origin: Any, factor: Any, least: Any, greatest: 
 
 
 @intrinsic
+def coordinate(typing: Any, box: Any, index: Any) -> Any:
+    """Return one lane as it is, float32; upper corners are negated."""
+
+    def generate(context, build, signature, values):
+        return build.extract_element(values[0], values[1])
+
+    return types.float32(box, types.intp), generate
+
+
+@intrinsic
 def lane(typing: Any, box: Any, index: Any) -> Any:
     """Return one lane, a whole number, as an integer."""
 

@@ -42,12 +42,14 @@ import numpy.typing as npt
 
 from mibvh._jit import in_parallel, njit
 from mibvh.builders.draft import Draft, References
+from mibvh.builders.measured import cost_of
 from mibvh.builders.planes import best_plane, new_bins
 from mibvh.builders.radix import argsort_keys, float_keys
 from mibvh.builders.registry import Context, Options, builder, option
-from mibvh.builders.simd import half_area, load, nothing, store, union, widen
+from mibvh.builders.simd import load, nothing, store, union, widen
 from mibvh.builders.splitting import split_reference
 from mibvh.builders.sweep import ID_ZERO, SMALL, best_split, part, sort_axes
+from mibvh.measures.boxes import of_boxes, of_corners
 from mibvh.parallel import run_tasks
 from mibvh.triangles import Triangles
 
@@ -76,13 +78,16 @@ def _box_of(lists, first, n):
 
 
 @njit(allocates=False)
-def _overlap(halves):
-    """Half the area of the box in which two boxes overlap; -1 if they are apart."""
-    x = -max(halves[0, 4], halves[1, 4]) - max(halves[0, 0], halves[1, 0])
-    y = -max(halves[0, 5], halves[1, 5]) - max(halves[0, 1], halves[1, 1])
-    z = -max(halves[0, 6], halves[1, 6]) - max(halves[0, 2], halves[1, 2])
+def _overlap(measure, halves):
+    """Measure of the box in which two boxes overlap; -1 if they are apart."""
+    x0, x1 = max(halves[0, 0], halves[1, 0]), -max(halves[0, 4], halves[1, 4])
+    y0, y1 = max(halves[0, 1], halves[1, 1]), -max(halves[0, 5], halves[1, 5])
+    z0, z1 = max(halves[0, 2], halves[1, 2]), -max(halves[0, 6], halves[1, 6])
+    x, y, z = x1 - x0, y1 - y0, z1 - z0
     if x >= 0 and y >= 0 and z >= 0:
-        return x * y + (x + y) * z
+        if measure is None:
+            return x * y + (x + y) * z
+        return np.float32(of_corners(measure, x0, y0, z0, x1, y1, z1))
     return np.float32(-1)
 
 
@@ -148,7 +153,7 @@ def _cut_all(corners, scale, lists, across, axis, plane, rows, side, parts, halv
 
 
 @njit(allocates=False)
-def _unsplit(lists, both, n_left, n_right, rows, side, parts, halves):
+def _unsplit(measure, lists, both, n_left, n_right, rows, side, parts, halves):
     """Give each cut reference whole to one side where that is cheaper.
 
     Counts and boxes are those with all references cut, less what was unsplit before: the
@@ -160,7 +165,7 @@ def _unsplit(lists, both, n_left, n_right, rows, side, parts, halves):
     """
     ids = lists.view(np.int32)
     left, right = load(halves, 0), load(halves, 1)
-    area_left, area_right = half_area(left), half_area(right)
+    area_left, area_right = cost_of(measure, left), cost_of(measure, right)
     kept = 0
     for i in range(both):
         row = np.int64(rows[i])
@@ -168,15 +173,15 @@ def _unsplit(lists, both, n_left, n_right, rows, side, parts, halves):
         wide_left, wide_right = union(left, load(lists, row)), union(right, load(lists, row))
         less_left, less_right = np.float32(n_left - 1), np.float32(n_right - 1)
         split = area_left * np.float32(n_left) + area_right * np.float32(n_right)
-        on_left = half_area(wide_left) * np.float32(n_left) + area_right * less_right
-        on_right = area_left * less_left + half_area(wide_right) * np.float32(n_right)
+        on_left = cost_of(measure, wide_left) * np.float32(n_left) + area_right * less_right
+        on_right = area_left * less_left + cost_of(measure, wide_right) * np.float32(n_right)
         if on_left <= split and on_left <= on_right:
             side[r] = 0
-            left, area_left = wide_left, half_area(wide_left)
+            left, area_left = wide_left, cost_of(measure, wide_left)
             n_right -= 1
         elif on_right <= split:
             side[r] = 1
-            right, area_right = wide_right, half_area(wide_right)
+            right, area_right = wide_right, cost_of(measure, wide_right)
             n_left -= 1
         else:
             side[r] = 2
@@ -192,7 +197,21 @@ def _unsplit(lists, both, n_left, n_right, rows, side, parts, halves):
 
 @njit(allocates=False)
 def _spatial_split(
-    corners, scale, lists, first, n, slack, first_id, axis, plane, limit, side, parts, halves, bins
+    measure,
+    corners,
+    scale,
+    lists,
+    first,
+    n,
+    slack,
+    first_id,
+    axis,
+    plane,
+    limit,
+    side,
+    parts,
+    halves,
+    bins,
 ):
     """Split a node at a plane, if that is possible and costs less than ``limit``.
 
@@ -211,7 +230,9 @@ def _spatial_split(
     )
     n_left += only_left + both
     n_right += only_right + both
-    n_left, n_right, added, cost = _unsplit(lists, both, n_left, n_right, rows, side, parts, halves)
+    n_left, n_right, added, cost = _unsplit(
+        measure, lists, both, n_left, n_right, rows, side, parts, halves
+    )
     if n_left == 0 or n_right == 0 or not cost < limit:
         return 0, 0, 0
     ids, part_ids = lists.view(np.int32), parts.view(np.int32)
@@ -288,7 +309,7 @@ def _part_at_plane(lists, source, left, right, total, n, axis, plane, added, sid
 
 
 @njit(allocates=False)
-def _plane_for(corners, scale, lists, first, n, slack, limit, rules, halves, bins):
+def _plane_for(measure, corners, scale, lists, first, n, slack, limit, rules, halves, bins):
     """Look for a plane cheaper than the object split, and than a leaf.
 
     Returns
@@ -298,17 +319,19 @@ def _plane_for(corners, scale, lists, first, n, slack, limit, rules, halves, bin
     """
     most_bins, _, leaf_cost, max_leaf = rules
     store(halves, 2, union(load(halves, 0), load(halves, 1)))
-    area = half_area(load(halves, 2))
+    area = cost_of(measure, load(halves, 2))
     leaf_wins = n <= max_leaf and leaf_cost * (n * area - limit) <= area
     if leaf_wins:
         limit = min(limit, np.float32(n * area - area / leaf_cost))
     count = min(most_bins, _FEWEST_BINS + _BINS_PER_REFERENCE * n)
-    axis, plane = best_plane(corners, scale, lists, first, n, slack, count, halves[2], limit, bins)
+    axis, plane = best_plane(
+        measure, corners, scale, lists, first, n, slack, count, halves[2], limit, bins
+    )
     return -2 if axis < 0 and leaf_wins else axis, plane
 
 
 @njit(allocates=False)
-def _split_node(corners, scale, rules, lists, side, areas, task, children, tally, bins):
+def _split_node(measure, corners, scale, rules, lists, side, areas, task, children, tally, bins):
     """Split one node; write its children, the larger one first, as tasks.
 
     Returns
@@ -322,7 +345,9 @@ def _split_node(corners, scale, rules, lists, side, areas, task, children, tally
     halves, parts = bins.halves, bins.parts
     total = len(lists) // 6
     source, target = begin + 3 * total * half, begin + 3 * total * (1 - half)
-    cost, _, axis, at = best_split(lists, np.uint64(source), np.uint64(total), np.uint64(n), areas)
+    cost, _, axis, at = best_split(
+        measure, lists, np.uint64(source), np.uint64(total), np.uint64(n), areas
+    )
     n_left, n_right, added = at, n - at, 0
     left_may, right_may = False, False
     plane_axis, plane = -1, np.float32(0)
@@ -330,25 +355,25 @@ def _split_node(corners, scale, rules, lists, side, areas, task, children, tally
         row = source + axis * total
         store(halves, 0, _box_of(lists, row, at))
         store(halves, 1, _box_of(lists, row + at, n - at))
-        left_may = half_area(load(halves, 0)) >= least_overlap
-        right_may = half_area(load(halves, 1)) >= least_overlap
-        if _overlap(halves) >= least_overlap:
+        left_may = cost_of(measure, load(halves, 0)) >= least_overlap
+        right_may = cost_of(measure, load(halves, 1)) >= least_overlap
+        if _overlap(measure, halves) >= least_overlap:
             tally[0] += 1
             plane_axis, plane = _plane_for(
-                corners, scale, lists, source, n, slack, cost, rules, halves, bins
+                measure, corners, scale, lists, source, n, slack, cost, rules, halves, bins
             )
         if plane_axis == -2:
             left_may, right_may = False, False
         if plane_axis >= 0:
             cut_left, cut_right, added = _spatial_split(
-                corners, scale, lists, source, n, slack, first_id, plane_axis, plane, cost,
+                measure, corners, scale, lists, source, n, slack, first_id, plane_axis, plane, cost,
                 side, parts, halves, bins,
             )  # fmt: skip
             if cut_left > 0:
                 tally[1] += 1
                 n_left, n_right = cut_left, cut_right
-                left_may = half_area(load(halves, 0)) >= least_overlap
-                right_may = half_area(load(halves, 1)) >= least_overlap
+                left_may = cost_of(measure, load(halves, 0)) >= least_overlap
+                right_may = cost_of(measure, load(halves, 1)) >= least_overlap
             else:
                 plane_axis = -1
     room = slack - added
@@ -381,7 +406,9 @@ def _split_node(corners, scale, rules, lists, side, areas, task, children, tally
 
 
 @njit
-def _run(corners, scale, rules, lists, side, left, right, reference, task, once, children, tally):
+def _run(
+    measure, corners, scale, rules, lists, side, left, right, reference, task, once, children, tally
+):
     """Build all below a node, or split it only once.
 
     Parameters
@@ -423,7 +450,7 @@ def _run(corners, scale, rules, lists, side, left, right, reference, task, once,
             reference[node] = stack[top, 0] + 3 * total * stack[top, 7]
             continue
         behind = _split_node(
-            corners, scale, rules, lists, side, areas, stack[top], children, tally, bins
+            measure, corners, scale, rules, lists, side, areas, stack[top], children, tally, bins
         )
         left[node], right[node] = node + 1, node + behind
         if once:
@@ -525,17 +552,22 @@ def sbvh(triangles: Triangles, options: SpatialOptions, context: Context) -> Dra
     lists = np.empty((6 * room, 8), np.float32)
     context.progress("sort", 0.0)
     in_parallel(sort_axes, refs.lower, refs.upper, lists)
-    x, y, z = (refs.upper.max(axis=0) - refs.lower.min(axis=0)).tolist()
+    low, high = refs.lower.min(axis=0), refs.upper.max(axis=0)
+    measure = context.compiled_measure(scale)
+    x, y, z = (high - low).tolist()
+    whole = x * y + y * z + z * x
+    if measure is not None:
+        whole = float(of_boxes(measure, np.concatenate([low, high])[None])[0])
     rules = (
         options.bins,
-        np.float32(options.alpha * (x * y + y * z + z * x)),
+        np.float32(options.alpha * whole),
         options.c_tri / options.c_inner if options.c_inner > 0 else np.inf,
         options.max_leaf,
     )
     links = np.full((3, 2 * room - 1), -1, np.int32)
     side = np.empty(n + 2 * slack, np.uint8)
     root = np.array([0, n, slack, n, 0, 0, 1, 0], np.int64)
-    scene = (triangles.corners, scale, rules, lists, side, *links)
+    scene = (measure, triangles.corners, scale, rules, lists, side, *links)
     tried, made = _build(scene, root, context)
     joined, lower, upper, owner = _compact(*links, lists)
     return Draft(

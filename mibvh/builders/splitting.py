@@ -21,7 +21,7 @@ import numba
 import numpy as np
 
 from mibvh._jit import in_parallel, njit
-from mibvh.builders.draft import References
+from mibvh.builders.draft import Draft, References
 from mibvh.errors import MibvhError
 from mibvh.triangles import F32, Triangles
 
@@ -431,3 +431,31 @@ def presplit(triangles: Triangles, beta: float = 0.3) -> References:
     return References(
         boxes[:used, 0:3].copy(), -boxes[:used, 4:7], triangle[:used].copy(), whole.scale
     )
+
+
+def as_boxes(references: References) -> Triangles:
+    """Triangles that fill references' boxes corner to corner, in scene units.
+
+    Builders that split no triangles look at nothing but boxes, so they build over references
+    when they are given these.
+    """
+    lower, upper = (corner / np.float32(references.scale) for corner in
+                    (references.lower, references.upper))  # fmt: skip
+    return Triangles(np.stack([lower, upper, lower], axis=1), "parts of triangles")
+
+
+def over_parts(draft: Draft, references: References, builder: str) -> Draft:
+    """Put references into the draft that a builder made of :func:`as_boxes`.
+
+    Raises
+    ------
+    MibvhError
+        If the builder has split what it was given.
+    """
+    part = draft.references.triangle
+    if len(part) != len(references):
+        raise MibvhError(
+            f"triangles are split up front for builders that split none; {builder} does"
+        )
+    reference = np.where(draft.left < 0, part[draft.reference], np.int32(-1))
+    return Draft(references, draft.left, draft.right, reference, draft.report, draft.measure)

@@ -24,15 +24,17 @@ Stages
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import numba
 import numpy as np
 
 from mibvh._jit import in_parallel, njit
 from mibvh.builders.draft import Draft, References
+from mibvh.builders.measured import cost_of
 from mibvh.builders.radix import argsort_keys, float_keys
 from mibvh.builders.registry import Context, Options, builder
-from mibvh.builders.simd import half_area, load, load_corners, nothing, store, union
+from mibvh.builders.simd import load, load_corners, nothing, store, union
 from mibvh.parallel import run_tasks
 from mibvh.triangles import F32, I32, Triangles
 
@@ -86,7 +88,7 @@ def _better(cost, even, axis, at, best):
 
 
 @njit(allocates=False)
-def _sweep(lists, first, n, axis, best, areas):
+def _sweep(measure, lists, first, n, axis, best, areas):
     """Try the splits of one axis.
 
     Parameters
@@ -117,7 +119,7 @@ def _sweep(lists, first, n, axis, best, areas):
     while at > middle:
         at -= one
         right = union(right, load(lists, first + at))
-        area = half_area(right)
+        area = cost_of(measure, right)
         areas[at] = area
         if area * np.float32(n - at) > least:
             left_out = at
@@ -127,7 +129,7 @@ def _sweep(lists, first, n, axis, best, areas):
     right_out = n
     for at in range(one, middle):
         left = union(left, load(lists, first + at - one))
-        area = half_area(left)
+        area = cost_of(measure, left)
         areas[at] = area
         if area * np.float32(at) > least:
             right_out = at
@@ -140,7 +142,7 @@ def _sweep(lists, first, n, axis, best, areas):
             at += one
         while at < n:
             left = union(left, load(lists, first + at - one))
-            cost = half_area(left) * np.float32(at)
+            cost = cost_of(measure, left) * np.float32(at)
             if cost > least:
                 break
             cost += areas[at] * np.float32(n - at)
@@ -159,7 +161,7 @@ def _sweep(lists, first, n, axis, best, areas):
         while at > one:
             at -= one
             right = union(right, load(lists, first + at))
-            cost = half_area(right) * np.float32(n - at)
+            cost = cost_of(measure, right) * np.float32(n - at)
             if cost > least:
                 break
             cost = areas[at] * np.float32(at) + cost
@@ -172,7 +174,7 @@ def _sweep(lists, first, n, axis, best, areas):
 
 
 @njit(allocates=False)
-def best_split(lists, first, total, n, areas):
+def best_split(measure, lists, first, total, n, areas):
     """Find the best object split of a node.
 
     Parameters
@@ -188,7 +190,7 @@ def best_split(lists, first, total, n, areas):
     (cost, unevenness, axis, number of references on the left)
     """
     if n <= SMALL:
-        return _best_split_small(lists, first, total, n, areas)
+        return _best_split_small(measure, lists, first, total, n, areas)
     # The axis of the farthest centres first: it bounds the others best.
     widest, width = 0, np.float32(-1)
     for axis in range(3):
@@ -202,12 +204,12 @@ def best_split(lists, first, total, n, areas):
     best = (np.float32(np.inf), np.int64(n), 3, np.int64(0))
     for step in range(3):
         axis = (widest + step) % 3
-        best = _sweep(lists, first + np.uint64(axis) * total, n, axis, best, areas)
+        best = _sweep(measure, lists, first + np.uint64(axis) * total, n, axis, best, areas)
     return best
 
 
 @njit(allocates=False)
-def _best_split_small(lists, first, total, n, areas):
+def _best_split_small(measure, lists, first, total, n, areas):
     """Sweep the three axes side by side: for few references, loops cost more than sweeps."""
     one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
     x, y, z = first, first + total, first + two * total
@@ -219,9 +221,9 @@ def _best_split_small(lists, first, total, n, areas):
         b = union(b, load(lists, y + at))
         c = union(c, load(lists, z + at))
         rest = np.float32(n - at)
-        areas[three * at] = half_area(a) * rest
-        areas[three * at + one] = half_area(b) * rest
-        areas[three * at + two] = half_area(c) * rest
+        areas[three * at] = cost_of(measure, a) * rest
+        areas[three * at + one] = cost_of(measure, b) * rest
+        areas[three * at + two] = cost_of(measure, c) * rest
     best = (np.float32(np.inf), np.int64(n), 3, np.int64(0))
     a, b, c = nothing(), nothing(), nothing()
     for at in range(one, n):
@@ -229,9 +231,9 @@ def _best_split_small(lists, first, total, n, areas):
         b = union(b, load(lists, y + at - one))
         c = union(c, load(lists, z + at - one))
         part = np.float32(at)
-        cost_a = half_area(a) * part + areas[three * at]
-        cost_b = half_area(b) * part + areas[three * at + one]
-        cost_c = half_area(c) * part + areas[three * at + two]
+        cost_a = cost_of(measure, a) * part + areas[three * at]
+        cost_b = cost_of(measure, b) * part + areas[three * at + one]
+        cost_c = cost_of(measure, c) * part + areas[three * at + two]
         # Of equals, the lower axis.
         axis = 0 if cost_a <= cost_b else 1
         cost = cost_a if cost_a <= cost_b else cost_b
@@ -307,18 +309,18 @@ def _part_small(lists, source, left_target, right_target, total, n, axis, at):
 
 
 @njit(allocates=False)
-def _split(lists, total, begin, n, side, areas):
+def _split(measure, lists, total, begin, n, side, areas):
     """Split one node and part its lists; return how many references go left."""
     source = np.uint64(begin + 3 * total * side)
     target = np.uint64(begin + 3 * total * (1 - side))
     rows, count = np.uint64(total), np.uint64(n)
-    _, _, axis, at = best_split(lists, source, rows, count, areas)
+    _, _, axis, at = best_split(measure, lists, source, rows, count, areas)
     part(lists, source, target, target + np.uint64(at), rows, count, axis, np.uint64(at))
     return at
 
 
 @njit
-def _subtree(lists, total, begin, n, node, side, left, right, reference):
+def _subtree(measure, lists, total, begin, n, node, side, left, right, reference):
     """Build all below one node."""
     ids = lists.view(np.int32)
     areas = np.empty(max(n, 3 * SMALL), np.float32)
@@ -328,7 +330,7 @@ def _subtree(lists, total, begin, n, node, side, left, right, reference):
     while True:
         row = np.uint64(begin + 3 * total * side)
         if n > 2:
-            at = _split(lists, total, begin, n, side, areas)
+            at = _split(measure, lists, total, begin, n, side, areas)
             left[node], right[node], reference[node] = node + 1, node + 2 * at, -1
             side = 1 - side
             # The larger child waits, so that few wait at a time.
@@ -360,14 +362,14 @@ def _subtree(lists, total, begin, n, node, side, left, right, reference):
 
 
 @njit
-def _split_once(lists, total, begin, n, node, side, left, right, reference):
+def _split_once(measure, lists, total, begin, n, node, side, left, right, reference):
     """Split one node; return how many references go left."""
-    at = _split(lists, total, begin, n, side, np.empty(max(n, 3 * SMALL), np.float32))
+    at = _split(measure, lists, total, begin, n, side, np.empty(max(n, 3 * SMALL), np.float32))
     left[node], right[node], reference[node] = node + 1, node + 2 * at, -1
     return at
 
 
-def _build(lists: F32, links: tuple[I32, I32, I32], context: Context) -> None:
+def _build(measure: Any, lists: F32, links: tuple[I32, I32, I32], context: Context) -> None:
     """Build the tree: the top node by node, the rest subtree by subtree."""
     total = len(lists) // 6
     threads = numba.get_num_threads()
@@ -378,9 +380,9 @@ def _build(lists: F32, links: tuple[I32, I32, I32], context: Context) -> None:
         # The root is split here at any size, so that a small tree compiles all that a large
         # one runs.
         if n <= limit and (node > 0 or n == 1):
-            _subtree(lists, total, *task, *links)
+            _subtree(measure, lists, total, *task, *links)
             return []
-        at = _split_once(lists, total, *task, *links)
+        at = _split_once(measure, lists, total, *task, *links)
         return [(begin, at, node + 1, 1 - side), (begin + at, n - at, node + 2 * at, 1 - side)]
 
     report = functools.partial(context.progress, "sweep")
@@ -399,5 +401,5 @@ def bbvh(triangles: Triangles, options: Options, context: Context) -> Draft:
     context.progress("sort", 0.0)
     in_parallel(sort_axes, refs.lower, refs.upper, lists)
     links = tuple(np.empty(2 * len(refs) - 1, np.int32) for _ in range(3))
-    _build(lists, links, context)
+    _build(context.compiled_measure(refs.scale), lists, links, context)
     return Draft(refs, *links)

@@ -44,8 +44,8 @@ from mibvh.builders import lanes
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.registry import Context, Options, builder, option
 from mibvh.builders.rotations import box_area, depth_first, judged
-from mibvh.builders.splitting import presplit
-from mibvh.errors import MibvhError
+from mibvh.builders.splitting import as_boxes, over_parts, presplit
+from mibvh.measures.boxes import of_corners
 from mibvh.triangles import F32, I32, Triangles
 
 #: References in the subtrees of one parallel step: well under a second of work, so that
@@ -56,9 +56,9 @@ _LANES = 8
 
 
 @njit
-def _node_cost(node, left, right, box, count, cost, c_inner, c_tri, max_leaf):
+def _node_cost(node, left, right, box, count, cost, c_inner, c_tri, max_leaf, measure):
     """Least cost of a subtree, times its area, from those of its children."""
-    area = box_area(box, node)
+    area = box_area(measure, box, node)
     leaf = c_tri * area * count[node]
     if left[node] < 0:
         return leaf
@@ -67,14 +67,16 @@ def _node_cost(node, left, right, box, count, cost, c_inner, c_tri, max_leaf):
 
 
 @njit
-def subtree_costs(left, right, box, count, c_inner, c_tri, max_leaf):
+def subtree_costs(left, right, box, count, c_inner, c_tri, max_leaf, measure):
     """(2R - 1,) float64: the least cost of each subtree, times its area, after the collapse.
 
     Nodes must stand behind their parents, as :func:`depth_first` lays them out.
     """
     cost = np.empty(len(left), np.float64)
     for node in range(len(left) - 1, -1, -1):
-        cost[node] = _node_cost(node, left, right, box, count, cost, c_inner, c_tri, max_leaf)
+        cost[node] = _node_cost(
+            node, left, right, box, count, cost, c_inner, c_tri, max_leaf, measure
+        )
     return cost
 
 
@@ -158,14 +160,14 @@ def _refit(node, owner, left, right, box, count, cost, costs):
 
 
 @njit
-def join_small(owner, left, right, box, count, cost, c_inner, c_tri, max_leaf):
+def join_small(owner, left, right, box, count, cost, c_inner, c_tri, max_leaf, measure):
     """Join a triangle's parts in every subtree that is cheapest as one leaf.
 
     What :func:`subtree_costs` does where triangles are split; fills ``cost``.
     """
     tips = np.empty(2 * max_leaf, np.int32)
     spare = np.empty(2 * max_leaf, np.int32)
-    costs = (c_inner, c_tri, max_leaf)
+    costs = (c_inner, c_tri, max_leaf, measure)
     for node in range(len(left) - 1, -1, -1):
         if left[node] < 0:
             cost[node] = _node_cost(node, left, right, box, count, cost, *costs)
@@ -175,7 +177,7 @@ def join_small(owner, left, right, box, count, cost, c_inner, c_tri, max_leaf):
             continue
         tip, _ = _below(node, left, right, tips, 0, spare, 0)
         kept = _first_of_each(tips, tip, owner)
-        leaf = c_tri * box_area(box, node) * kept
+        leaf = c_tri * box_area(measure, box, node) * kept
         if kept < tip and kept <= max_leaf and leaf <= cost[node]:
             _join_parts(node, tips, tip, spare[1:], owner, left, right, box, count, cost, costs)
 
@@ -214,7 +216,7 @@ def _find_repeats(size, lane, leaves, owner, left, right, count, max_leaf, work,
 
 
 @njit
-def _grow(root, size, lane, left, right, box, leaves, inner):
+def _grow(measure, root, size, lane, left, right, box, leaves, inner):
     """Grow a treelet: open the leaf of largest area until there are ``size`` leaves.
 
     There must be that many references below the root. Fills column ``lane`` of ``leaves``
@@ -226,7 +228,7 @@ def _grow(root, size, lane, left, right, box, leaves, inner):
         inner[n - 1, lane] = node
         for i, child in ((place, left[node]), (n, right[node])):
             leaves[i, lane] = child
-            area[i] = box_area(box, child) if left[child] >= 0 else -1.0
+            area[i] = box_area(measure, box, child) if left[child] >= 0 else -1.0
         place = 0
         for i in range(1, n + 1):
             if area[i] > area[place]:
@@ -235,7 +237,7 @@ def _grow(root, size, lane, left, right, box, leaves, inner):
 
 
 @njit
-def _solve(size, owner, c_inner, c_tri, max_leaf, s_box, s_count, s_again, s_cost):
+def _solve(size, owner, c_inner, c_tri, max_leaf, measure, s_box, s_count, s_again, s_cost):
     """Run the dynamic programme, for eight treelets side by side.
 
     Parameters
@@ -244,8 +246,8 @@ def _solve(size, owner, c_inner, c_tri, max_leaf, s_box, s_count, s_again, s_cos
         Leaves of a treelet, n.
     owner : (2R - 1,) int32, or None
         From :func:`owners`; None where no triangle is split, and there is nothing in ``s_again``.
-    c_inner, c_tri, max_leaf : float, float, int
-        The costs.
+    c_inner, c_tri, max_leaf, measure : float, float, int, None or tuple
+        The costs, and what they are of; None is the area.
     s_box : (2**n, 6, 8) float32
         Box of every subset of the leaves; a subset is a bit mask.
     s_count, s_cost : (2**n, 8) float64
@@ -276,6 +278,13 @@ def _solve(size, owner, c_inner, c_tri, max_leaf, s_box, s_count, s_again, s_cos
         y = _side_of_union(s_box, s * six + one, low * six + one, rest * six + one)
         z = _side_of_union(s_box, s * six + two, low * six + two, rest * six + two)
         area = lanes.add(lanes.multiply(x, y), lanes.multiply(lanes.add(x, y), z))
+        if measure is not None:
+            for i in range(_LANES):
+                s_cost[s, i] = of_corners(
+                    measure, s_box[s, 0, i], s_box[s, 1, i], s_box[s, 2, i],
+                    s_box[s, 3, i], s_box[s, 4, i], s_box[s, 5, i],
+                )  # fmt: skip
+            area = lanes.load(s_cost, s)
         count = lanes.add(lanes.load(s_count, low), lanes.load(s_count, rest))
         lanes.store(s_count, s, count)
         if owner is not None:
@@ -322,7 +331,7 @@ def _rebuild(size, lane, leaves, inner, owner, left, right, box, count, cost, co
         cost[node] = s_cost[s, lane]
         if owner is not None:
             distinct = s_count[s, lane] - s_again[s, lane]
-            leaf = costs[1] * box_area(box, node) * distinct
+            leaf = costs[1] * box_area(costs[3], box, node) * distinct
             if s_again[s, lane] > 0.0 and distinct <= costs[2] and leaf <= s_cost[s, lane]:
                 tip, free, members = 0, 0, 0
                 for i in range(size):
@@ -369,7 +378,7 @@ def _rebuild(size, lane, leaves, inner, owner, left, right, box, count, cost, co
 
 
 @njit
-def _improve(nodes, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf):
+def _improve(nodes, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf, measure):
     """Rearrange the treelets rooted in ``nodes``; none may stand below another one.
 
     Their descendants' costs must be up to date. Returns how many were rebuilt.
@@ -384,7 +393,7 @@ def _improve(nodes, size, owner, left, right, box, count, cost, c_inner, c_tri, 
     subsets = (s_box, s_count, s_again, s_cost)
     room = 8 * (max_leaf + 1) if owner is not None else 0
     work = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int64)
-    costs = (c_inner, c_tri, max_leaf)
+    costs = (c_inner, c_tri, max_leaf, measure)
     rebuilt, begin = 0, 0
     while begin < len(nodes):
         used = 0
@@ -397,7 +406,7 @@ def _improve(nodes, size, owner, left, right, box, count, cost, c_inner, c_tri, 
             if count[root] < size:
                 continue
             roots[used] = root
-            _grow(root, size, used, left, right, box, leaves, inner)
+            _grow(measure, root, size, used, left, right, box, leaves, inner)
             for i in range(size):
                 leaf = leaves[i, used]
                 for k in range(6):
@@ -409,7 +418,7 @@ def _improve(nodes, size, owner, left, right, box, count, cost, c_inner, c_tri, 
                     size, used, leaves, owner, left, right, count, max_leaf, work, s_again
                 )
             used += 1
-        _solve(size, owner, c_inner, c_tri, max_leaf, *subsets)
+        _solve(size, owner, *costs, *subsets)
         for lane in range(used):
             if s_cost[(1 << size) - 1, lane] < cost[roots[lane]]:
                 _rebuild(
@@ -464,12 +473,25 @@ def nodes_above(root, least, left, right, count):
 
 
 @njit
-def _improve_all(nodes, ends, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf):
+def _improve_all(
+    nodes, ends, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf, measure
+):
     """Rearrange the treelets rooted in nodes ordered by height. Returns how many were rebuilt."""
     rebuilt, begin = 0, 0
     for end in ends:
         rebuilt += _improve(
-            nodes[begin:end], size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf
+            nodes[begin:end],
+            size,
+            owner,
+            left,
+            right,
+            box,
+            count,
+            cost,
+            c_inner,
+            c_tri,
+            max_leaf,
+            measure,
         )
         begin = end
     return rebuilt
@@ -477,7 +499,7 @@ def _improve_all(nodes, ends, size, owner, left, right, box, count, cost, c_inne
 
 @njit(parallel=True)
 def _improve_subtrees(
-    roots, least, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf
+    roots, least, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf, measure
 ):
     """Rearrange disjoint subtrees in parallel. Returns treelets looked at and rebuilt."""
     done = np.zeros((len(roots), 2), np.int64)
@@ -485,7 +507,19 @@ def _improve_subtrees(
         nodes, ends = nodes_above(roots[i], least, left, right, count)
         done[i, 0] = len(nodes)
         done[i, 1] = _improve_all(
-            nodes, ends, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf
+            nodes,
+            ends,
+            size,
+            owner,
+            left,
+            right,
+            box,
+            count,
+            cost,
+            c_inner,
+            c_tri,
+            max_leaf,
+            measure,
         )
     return done.sum(axis=0)
 
@@ -577,7 +611,8 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
         With ``start_sah``, ``end_sah``, ``iterations`` (rounds), and the treelets looked at
         and rebuilt in its report.
     """
-    costs = (options.c_inner, options.c_tri, options.max_leaf)
+    measure = context.compiled_measure(draft.references.scale)
+    costs = (options.c_inner, options.c_tri, options.max_leaf, measure)
     left, right, reference, count, box = depth_first(draft)
     cost = subtree_costs(left, right, box, count, *costs)
     owner = owners(draft.references.triangle, left, reference) if options.rounds else None
@@ -613,7 +648,7 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
     else:
         result = Draft(draft.references, left, right, reference)
     report = {"iterations": rounds, "treelets": looked, "rebuilt": rebuilt}
-    return judged(draft, result, options, report)
+    return judged(measure, draft, result, options, report)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -656,19 +691,9 @@ def treelet(triangles: Triangles, options: TreeletOptions, context: Context) -> 
 
 
 def start_over(references: References, options: SplitTreeletOptions, context: Context) -> Draft:
-    """Build the start tree over given references.
-
-    The start builder sees each reference as a triangle that fills its box corner to corner;
-    builders that split none look at nothing but boxes.
-    """
-    corners = np.stack([references.lower, references.upper, references.lower], axis=1)
-    boxes = Triangles(corners, "parts of triangles")
-    draft = context.start(boxes, options.base, options)
-    part = draft.references.triangle
-    if len(part) != len(references):
-        raise MibvhError(f"base must be a builder that splits no triangles, not {options.base}")
-    reference = np.where(draft.left < 0, part[draft.reference], np.int32(-1))
-    return Draft(references, draft.left, draft.right, reference)
+    """Build the start tree over given references."""
+    draft = context.start(as_boxes(references), options.base, options)
+    return dataclasses.replace(over_parts(draft, references, options.base), report={})
 
 
 @builder(

@@ -1,0 +1,243 @@
+"""`finite`: a tree for the rays that are traced.
+
+Builders since MacDonald and Booth (1990) take a box to be met by a share of rays in proportion
+to its surface area, which is so for lines that nothing stops. Rays start on surfaces and end at
+the next one, and not everywhere alike. This builder traces a small set of them and minimises
+what they cost: the sum over the nodes of ``C_n m(n)``, where the measure of a box is the share
+of the segments that start in it or enter it, plus a little of its area
+(:class:`mibvh.measures.Flux`). The derivation and what each part is worth are in
+``docs/better-trees.md``; no publication is known.
+
+Stages
+------
+1. Build the area tree (`sbvh`), and cut the rays where they hit in it.
+2. Make the tables of the measure, and build `sbvh` by it as well.
+3. Optimise both by insertion (`bittner`), by the measure.
+4. Keep the tree that the rays cost less in, counted; split and merge its references where that
+   lowers the measure (:mod:`mibvh.builders.resplit`), and optimise again.
+5. The leaf collapse goes by the same measure.
+
+What it gains, it gains by knowing where the rays of these cameras go. For cameras that are not
+known, ``unseen`` chooses the weight of the area by cross-validation over the viewpoints, the
+area tree among the choices.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from mibvh.builders.draft import Draft
+from mibvh.builders.finish import draft_sah, finish
+from mibvh.builders.insertion import InsertionOptions, reinserted
+from mibvh.builders.registry import Context, Options, builder, option
+from mibvh.builders.resplit import Resplitter, Rules
+from mibvh.errors import MibvhError
+from mibvh.files import read_arrays
+from mibvh.measures import Area, Flux, Segments
+from mibvh.measures.flux import MAX_SEGMENTS
+from mibvh.measures.walk import counted_cost, cut_at_hits
+from mibvh.triangles import F32, I32, Triangles
+
+#: What cross-validation over viewpoints chooses the weight of the area from, and what part of the
+#: area tree's cost it must be below: with few viewpoints, it is noisy.
+_WEIGHTS = (0.6, 1.2)
+_MARGIN = 0.99
+#: Rays between surfaces begin this share of the diagonal off them.
+_OFF = 1e-5
+
+#: What a ray file holds.
+_ARRAYS = ("o", "d", "tmax", "viewpoint", "bounce", "source")
+#: Origins, directions, greatest distances and viewpoints of rays.
+_Rays = tuple[F32, F32, F32, I32]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FiniteOptions(Options):
+    """Options of `finite`."""
+
+    rays: str = option("", "ray file to build for, instead of rays of the scene's cameras")
+    count: int = option(
+        30_000, "rays that the tree is built for; more is slower, and a little better", 16,
+        MAX_SEGMENTS,
+    )  # fmt: skip
+    planes: int = option(64, "planes per axis of the measure's tables", 4, 256)
+    area_weight: float = option(
+        0.1, "weight of the area; more is safer for rays that are not known", 0.0, 1e6
+    )
+    unseen: bool = option(
+        False,
+        "build for other viewpoints of the same scene: choose area_weight by cross-validation",
+    )
+    budget: float = option(
+        1.0, "references added at most, per triangle; 0 splits none after `sbvh`", 0.0, 8.0
+    )
+    effort: int = option(
+        2, "1: one start tree, no splitting after it; 2: two start trees; 3: more passes", 1, 3
+    )
+    seed: int = option(20_130_719, "of the rays; a study measures with others", 0, 2**31 - 1)
+
+
+def surface_rays(triangles: Triangles, count: int, seed: int) -> _Rays:
+    """Draw rays that leave surfaces: even by area, cosine-distributed, on a side at random."""
+    rng = np.random.default_rng(seed)
+    a, b, c = (triangles.corners[:, i].astype(np.float64) for i in range(3))
+    normals = np.cross(b - a, c - a)
+    area = np.linalg.norm(normals, axis=1)
+    share = np.cumsum(area) if area.sum() > 0 else np.arange(1.0, len(area) + 1)
+    ids = np.searchsorted(share, rng.random(count) * share[-1], side="right")
+    ids = np.minimum(ids, len(area) - 1)
+    u, v = rng.random((2, count, 1))
+    root = np.sqrt(u)
+    points = (1 - root) * a[ids] + root * (1 - v) * b[ids] + root * v * c[ids]
+    # A cosine lobe is a unit normal plus a point on the unit sphere.
+    normal = normals[ids] / np.maximum(area[ids], 1e-300)[:, None]
+    normal *= rng.choice([-1.0, 1.0], (count, 1))
+    ball = rng.standard_normal((count, 3))
+    d = normal + ball / np.linalg.norm(ball, axis=1, keepdims=True)
+    d /= np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-30)
+    o = points + normal * (_OFF * triangles.diagonal)
+    return (
+        o.astype(np.float32), d.astype(np.float32), np.full(count, np.inf, np.float32),
+        np.zeros(count, np.int32),
+    )  # fmt: skip
+
+
+def training_rays(
+    triangles: Triangles, options: FiniteOptions, context: Context
+) -> tuple[_Rays, str]:
+    """Rays to build for, and a sentence on where they are from."""
+    if options.rays:
+        arrays, meta = read_arrays(options.rays, "ray set", _ARRAYS)
+        if meta.get("digest") not in (None, triangles.digest):
+            raise MibvhError(
+                f"{options.rays}: the rays were made for another geometry than {triangles.name}"
+            )
+        step = max(1, -(-len(arrays["o"]) // options.count))
+        o, d, tmax, viewpoint = (arrays[name][::step] for name in _ARRAYS[:4])
+        return (o, d, tmax, viewpoint), f"rays of {options.rays}"
+    trace = getattr(context.source, "few_rays", None)
+    if trace is not None:
+        found = trace(options.count, options.seed)
+        said = f"diffuse rays of {len(np.unique(found.viewpoint))} viewpoints"
+        return (found.o, found.d, found.tmax, found.viewpoint), said
+    said = (
+        "rays between surfaces, as there is no scene with cameras: worth hardly more than the "
+        "area; hand the scene to the build"
+    )
+    return surface_rays(triangles, options.count, options.seed), said
+
+
+class _Search:
+    """One tree for one measure, from both start trees."""
+
+    def __init__(self, triangles: Triangles, options: FiniteOptions, context: Context) -> None:
+        self.triangles, self.options, self.context = triangles, options, context
+        self.common: dict[str, Any] = {
+            name: getattr(options, name) for name in ("c_inner", "c_tri", "max_leaf")
+        }
+        # Beyond, a batch gains less than local minima differ.
+        tolerance = 1e-4 if options.effort < 3 else 1e-6
+        self.insertion = InsertionOptions(**self.common, tolerance=tolerance)
+        self.by_area = dataclasses.replace(context, measure=Area())
+        self.start = self.by_area.start(triangles, "sbvh", options)
+        self.scale = self.start.references.scale
+
+    def cost(self, draft: Draft, segments: Segments) -> float:
+        """Counted cost of segments in the tree of a draft."""
+        tree = finish(
+            draft, **self.common, meta={"triangles": len(self.triangles)}, measure=draft.measure
+        )
+        return counted_cost(
+            tree, self.triangles, segments, self.options.c_inner, self.options.c_tri
+        )
+
+    def best(self, measure: Any, segments: Segments) -> tuple[Draft, dict[str, Any]]:
+        """Find the best tree by a measure, and say how it came about."""
+        context = dataclasses.replace(self.context, measure=measure)
+        compiled = context.compiled_measure(self.scale)
+        starts = {"flux": context.start(self.triangles, "sbvh", self.options)}
+        if self.options.effort > 1:
+            starts["area"] = self.start
+        drafts = {
+            name: dataclasses.replace(reinserted(start, self.insertion, context), measure=compiled)
+            for name, start in starts.items()
+        }
+        costs = {name: self.cost(draft, segments) for name, draft in drafts.items()}
+        chosen = min(costs, key=costs.__getitem__)
+        draft = drafts[chosen]
+        report: dict[str, Any] = {"start": chosen, "split": 0, "merged": 0}
+        for _ in range(self.options.effort - 1):
+            tried, splits, merges = self._resplit(draft, context, compiled)
+            cost = self.cost(tried, segments)
+            if cost >= costs[chosen]:
+                break
+            draft, costs[chosen] = tried, cost
+            report["split"] += splits
+            report["merged"] += merges
+        report["cost"] = costs[chosen]
+        return draft, report
+
+    def _resplit(self, draft: Draft, context: Context, compiled: Any) -> tuple[Draft, int, int]:
+        rules = Rules(budget=self.options.budget)
+        state = Resplitter(self.triangles, draft, self.options, compiled, rules)
+        splits, merges = state.split(context), state.merge(context)
+        tried = reinserted(state.draft({}), self.insertion, context)
+        return dataclasses.replace(tried, measure=compiled), splits, merges
+
+    def area_tree(self) -> Draft:
+        """The best combination that knows no rays: `bittner` from `sbvh`, by area."""
+        return reinserted(self.start, self.insertion, self.by_area)
+
+    def weight_for_unseen(self, segments: Segments) -> float:
+        """Choose the weight of the area by cross-validation over viewpoints; inf: area alone."""
+        viewpoints = np.unique(segments.viewpoint)
+        if len(viewpoints) < 2:
+            return np.inf
+        fold = np.searchsorted(viewpoints, segments.viewpoint) % 2
+        area = self.area_tree()
+        halves = [segments.select(fold == half) for half in range(2)]
+        costs = {float("inf"): _MARGIN * sum(self.cost(area, half) for half in halves)}
+        for weight in _WEIGHTS:
+            costs[weight] = 0.0
+            for seen, other in (halves, halves[::-1]):
+                measure = Flux(seen, self.options.planes, weight)
+                draft, _ = self.best(measure, seen)
+                costs[weight] += self.cost(draft, other)
+        return min(costs, key=costs.__getitem__)
+
+
+@builder(
+    "finite",
+    summary="the tree that a small traced ray set costs least: `sbvh`, insertion and splits by "
+    "the share of rays that touch a box",
+    source="mibvh, docs/better-trees.md",
+    options=FiniteOptions,
+)
+def finite(triangles: Triangles, options: FiniteOptions, context: Context) -> Draft:
+    """Build for the rays of the scene's cameras, or those that are given."""
+    search = _Search(triangles, options, context)
+    first = finish(search.start, **search.common, meta={"triangles": len(triangles)})
+    rays, said = training_rays(triangles, options, context)
+    segments = cut_at_hits(first, triangles, *rays)
+    weight = options.area_weight
+    if options.unseen:
+        weight = search.weight_for_unseen(segments)
+    if np.isinf(weight):
+        draft, report = search.area_tree(), {"start": "area", "split": 0, "merged": 0}
+        report["cost"] = search.cost(draft, segments)
+    else:
+        draft, report = search.best(Flux(segments, options.planes, weight), segments)
+    report = {
+        **report,
+        "rays": said,
+        "ray_count": len(segments),
+        "seed": options.seed,
+        "area_weight": weight if np.isfinite(weight) else "area alone",
+        "references": len(draft.references),
+        "start_cost": search.cost(search.start, segments),
+        "sah": draft_sah(draft, **search.common),
+    }
+    return dataclasses.replace(draft, report=report)

@@ -1,0 +1,55 @@
+"""Segments: what rays run through before they end."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from mibvh.errors import MibvhError
+from mibvh.triangles import F32, I32
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Segments:
+    """Rays from their start to their hit.
+
+    Attributes
+    ----------
+    start, end : (R, 3) float32
+        In scene units.
+    viewpoint : (R,) int32
+        The camera that the ray's path began at; 0 where there is none.
+
+    Raises
+    ------
+    MibvhError
+        If the shapes do not fit, there are none, or a coordinate is NaN or infinite.
+    """
+
+    start: F32
+    end: F32
+    viewpoint: I32
+
+    def __post_init__(self) -> None:
+        if self.start.ndim != 2 or self.start.shape[1:] != (3,):
+            raise MibvhError(f"segments start at (R, 3) points, not {self.start.shape}")
+        if self.end.shape != self.start.shape or self.viewpoint.shape != self.start.shape[:1]:
+            raise MibvhError("segments need as many ends and viewpoints as starts")
+        if len(self.start) == 0:
+            raise MibvhError("there are no segments")
+        if not (np.isfinite(self.start).all() and np.isfinite(self.end).all()):
+            raise MibvhError("a segment's coordinate is NaN or infinite")
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def select(self, chosen: Any) -> Segments:
+        """Keep some of the segments.
+
+        Parameters
+        ----------
+        chosen : index array, boolean mask or slice
+        """
+        return Segments(self.start[chosen], self.end[chosen], self.viewpoint[chosen])

@@ -1,0 +1,178 @@
+"""Tracing rays through a tree one at a time, with counters: hits for segments, costs for choices.
+
+The same walk as the study's kernel (:mod:`mibvh.traversal.kernel`): the nearer child first, the
+farther one pushed, popped nodes taken as they are. In float64, for builders that want a few
+thousand rays traced without Mitsuba.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mibvh._jit import njit
+from mibvh.measures.segments import Segments
+from mibvh.parallel import run_blocks
+from mibvh.tree import MAX_DEPTH, Tree
+from mibvh.triangles import F32, F64, I32, Triangles
+
+_BLOCK = 1024
+
+
+@njit(allocates=False)
+def _begin(lower, upper, node, o, inverse, t):
+    """Where a ray enters a box; inf if it does not, or only behind ``t``."""
+    near, far = 0.0, t
+    for k in range(3):
+        a = (np.float64(lower[node, k]) - o[k]) * inverse[k]
+        b = (np.float64(upper[node, k]) - o[k]) * inverse[k]
+        near, far = max(near, min(a, b)), min(far, max(a, b))
+    return near if near <= far else np.inf
+
+
+@njit(allocates=False)
+def _hit(corners, triangle, o, d, t):
+    """Distance at which a ray hits a triangle, from either side; ``t`` if not before that."""
+    ax, ay, az = (
+        np.float64(corners[triangle, 0, 0]),
+        np.float64(corners[triangle, 0, 1]),
+        (np.float64(corners[triangle, 0, 2])),
+    )
+    ux, uy, uz = (
+        corners[triangle, 1, 0] - ax,
+        corners[triangle, 1, 1] - ay,
+        (corners[triangle, 1, 2] - az),
+    )
+    vx, vy, vz = (
+        corners[triangle, 2, 0] - ax,
+        corners[triangle, 2, 1] - ay,
+        (corners[triangle, 2, 2] - az),
+    )
+    px, py, pz = d[1] * vz - d[2] * vy, d[2] * vx - d[0] * vz, d[0] * vy - d[1] * vx
+    determinant = ux * px + uy * py + uz * pz
+    if determinant == 0.0:
+        return t
+    sx, sy, sz = o[0] - ax, o[1] - ay, o[2] - az
+    u = (sx * px + sy * py + sz * pz) / determinant
+    if not 0.0 <= u <= 1.0:
+        return t
+    qx, qy, qz = sy * uz - sz * uy, sz * ux - sx * uz, sx * uy - sy * ux
+    v = (d[0] * qx + d[1] * qy + d[2] * qz) / determinant
+    if v < 0.0 or u + v > 1.0:
+        return t
+    at = (vx * qx + vy * qy + vz * qz) / determinant
+    return at if 0.0 < at < t else t
+
+
+@njit
+def _walk(begin, end, lower, upper, left, first, count, references, corners, o, d, tmax, out,
+          visits):  # fmt: skip
+    """Trace rays; ``out`` gets distances (inf: none), ``visits`` inner nodes and triangles."""
+    stack = np.empty(MAX_DEPTH + 1, np.int32)
+    inverse = np.empty(3, np.float64)
+    for r in range(begin, end):
+        for k in range(3):
+            # A direction of zero never leaves its slab: infinities of the right signs.
+            inverse[k] = 1.0 / (d[r, k] if abs(d[r, k]) > 1e-30 else 1e-30)
+        t, inner, tests = tmax[r], 0, 0
+        stack[0], top = 0, 1
+        while top > 0:
+            top -= 1
+            node = stack[top]
+            while left[node] >= 0:
+                inner += 1
+                a = left[node]
+                near_a = _begin(lower, upper, a, o[r], inverse, t)
+                near_b = _begin(lower, upper, a + 1, o[r], inverse, t)
+                if near_a == np.inf and near_b == np.inf:
+                    node = -1
+                    break
+                if near_a < np.inf and near_b < np.inf:
+                    stack[top] = a if near_b < near_a else a + 1
+                    top += 1
+                node = a + 1 if near_b < near_a else a
+            if node < 0:
+                continue
+            for i in range(first[node], first[node] + count[node]):
+                tests += 1
+                t = _hit(corners, references[i], o[r], d[r], t)
+        out[r] = t if t < tmax[r] else np.inf
+        visits[r, 0], visits[r, 1] = inner, tests
+
+
+def walk(
+    tree: Tree, triangles: Triangles, o: F32, d: F32 | F64, tmax: F32 | F64
+) -> tuple[F64, I32]:
+    """Trace rays through a tree.
+
+    Parameters
+    ----------
+    tree : Tree
+    triangles : Triangles
+    o, d : (R, 3) float
+        Origins and directions in scene units.
+    tmax : (R,) float64
+        In lengths of the direction.
+
+    Returns
+    -------
+    t : (R,) float64
+        Distance of the hit in lengths of the direction; inf for none.
+    visits : (R, 2) int32
+        Inner nodes visited, and triangles tested.
+    """
+    t, visits = np.empty(len(o), np.float64), np.zeros((len(o), 2), np.int32)
+    arrays = (
+        tree.lower, tree.upper, tree.left, tree.first, tree.count, tree.references,
+        triangles.corners, np.ascontiguousarray(o, np.float64),
+        np.ascontiguousarray(d, np.float64), np.ascontiguousarray(tmax, np.float64), t, visits,
+    )  # fmt: skip
+    run_blocks(lambda _, begin, end: _walk(begin, end, *arrays), len(o), _BLOCK)
+    return t, visits
+
+
+def cut_at_hits(
+    tree: Tree, triangles: Triangles, o: F32, d: F32, tmax: F32, viewpoint: I32
+) -> Segments:
+    """Cut rays where they hit; those that miss end where they leave the scene's box.
+
+    Parameters
+    ----------
+    tree : Tree
+        Any, of these triangles.
+    triangles : Triangles
+    o, d : (R, 3) float32
+    tmax : (R,) float32
+    viewpoint : (R,) int32
+
+    Returns
+    -------
+    Segments
+        Rays that are no numbers are left out.
+    """
+    sound = np.isfinite(o).all(1) & np.isfinite(d).all(1) & (tmax >= 0) & (d != 0).any(1)
+    o, viewpoint = o[sound], viewpoint[sound]
+    along = d[sound].astype(np.float64)
+    limit = tmax[sound].astype(np.float64)
+    t, _ = walk(tree, triangles, o, along, limit)
+    low, high = triangles.bounds.astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        far = np.where(
+            along > 0, (high - o) / along, np.where(along < 0, (low - o) / along, np.inf)
+        )
+    far = far.min(axis=1)
+    t = np.where(np.isfinite(t), t, np.minimum(np.maximum(far, 0.0), limit))
+    return Segments(o, (o + along * t[:, None]).astype(np.float32), viewpoint)
+
+
+def counted_cost(
+    tree: Tree, triangles: Triangles, segments: Segments, c_inner: float, c_tri: float
+) -> float:
+    """Mean cost of segments in a tree: ``c_inner`` per inner node, ``c_tri`` per triangle.
+
+    Segments go on beyond their ends, as the traversal does not know the hit beforehand.
+    """
+    d = segments.end.astype(np.float64) - segments.start
+    still = (d == 0).all(axis=1)
+    d[still, 0] = 1e-30
+    _, visits = walk(tree, triangles, segments.start, d, np.full(len(d), np.inf))
+    return float((visits * np.array([c_inner, c_tri])).sum(axis=1).mean())

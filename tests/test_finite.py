@@ -1,0 +1,129 @@
+"""`finite`: fewer steps for rays it has not seen, and no rays of its own in the measurement."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import mibvh
+from mibvh.builders import names
+from mibvh.errors import MibvhError
+
+FEW = {"count": 3000, "planes": 32}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return mibvh.load("cornell@6000")
+
+
+@pytest.fixture(scope="module")
+def held_out(scene):
+    """Rays of another seed than those of training."""
+    return mibvh.diffuse_rays(scene, width=48, height=36, samples=2, seed=5)
+
+
+@pytest.fixture(scope="module")
+def trees(scene):
+    return {
+        "sbvh": mibvh.build(scene, "sbvh"),
+        "bittner": mibvh.build(scene, "bittner", start="sbvh"),
+        "finite": mibvh.build(scene, "finite", **FEW),
+    }
+
+
+def cost(tree, scene, rays):
+    return mibvh.trace(tree, scene, rays, repeats=1).counted_cost()
+
+
+def test_held_out_rays_cost_less(scene, trees, held_out):
+    costs = {name: cost(tree, scene, held_out) for name, tree in trees.items()}
+    assert costs["finite"] < 0.97 * min(costs["sbvh"], costs["bittner"])
+
+
+def test_hits_are_those_of_the_other_trees(scene, trees, held_out):
+    a, b = (mibvh.trace(trees[n], scene, held_out, repeats=1) for n in ("sbvh", "finite"))
+    assert trees["finite"].validate(scene.triangles) == []
+    np.testing.assert_array_equal(a.t, b.t)
+
+
+def test_the_report_says_what_it_was_built_for(trees, scene):
+    report = trees["finite"].meta["report"]
+    assert report["rays"] == f"diffuse rays of {len(scene.sensors)} viewpoints"
+    assert 0.9 * FEW["count"] <= report["ray_count"] <= 1.1 * FEW["count"]
+    assert report["cost"] < report["start_cost"]
+    json.dumps(trees["finite"].meta)
+
+
+def test_without_a_scene_rays_go_between_surfaces_and_it_says_so(scene):
+    tree = mibvh.build(scene.triangles, "finite", **FEW)
+    assert tree.meta["report"]["rays"].startswith("rays between surfaces, as there is no scene")
+    assert tree.validate(scene.triangles) == []
+
+
+def test_rays_of_a_file_are_taken(scene, held_out, tmp_path):
+    path = tmp_path / "rays.npz"
+    held_out.save(path)
+    tree = mibvh.build(scene.triangles, "finite", rays=str(path), **FEW)
+    assert tree.meta["report"]["rays"] == f"rays of {path}"
+    assert tree.meta["report"]["ray_count"] <= FEW["count"]
+    with pytest.raises(MibvhError, match="no such ray set file"):
+        mibvh.build(scene.triangles, "finite", rays=str(tmp_path / "none.npz"))
+    other = mibvh.Triangles(scene.triangles.corners[1:])
+    with pytest.raises(MibvhError, match="made for another geometry"):
+        mibvh.build(other, "finite", rays=str(path))
+
+
+def test_training_rays_are_not_the_default_ones(scene):
+    """A study measures with seed 0 upwards; no origin of theirs is one of training."""
+    options = mibvh.builders.get("finite").options()
+    training = scene.few_rays(2000, options.seed)
+    assert len(np.unique(training.viewpoint)) == len(scene.sensors)
+    measured = mibvh.diffuse_rays(scene, width=40, height=30, samples=1, seed=0)
+    both = np.concatenate([np.unique(training.o, axis=0), np.unique(measured.o, axis=0)])
+    assert len(np.unique(both, axis=0)) == len(both)
+
+
+@pytest.mark.parametrize("effort", [1, 3])
+def test_efforts(scene, held_out, effort, trees):
+    tree = mibvh.build(scene, "finite", effort=effort, **FEW)
+    assert tree.validate(scene.triangles) == []
+    assert cost(tree, scene, held_out) < cost(trees["bittner"], scene, held_out)
+
+
+def test_for_unseen_viewpoints_it_is_no_worse_than_the_area_tree():
+    scene = mibvh.load("clutter@4000")
+    assert len(scene.sensors) >= 3
+    seen, other = mibvh.load("clutter@4000"), mibvh.load("clutter@4000")
+    seen.sensors, other.sensors = scene.sensors[::2], scene.sensors[1::2]
+    tree = mibvh.build(seen, "finite", unseen=True, **FEW)
+    rays = mibvh.diffuse_rays(other, width=32, height=24, samples=1)
+    area = mibvh.build(scene, "bittner", start="sbvh")
+    assert cost(tree, scene, rays) <= 1.01 * cost(area, scene, rays)
+    assert tree.meta["report"]["area_weight"] in (0.6, 1.2, "area alone")
+
+
+def test_finite_is_asked_for_by_name_alone():
+    assert "finite" not in names()
+    assert mibvh.builders.get("finite").describe()["options"]["budget"]["default"] == 1.0
+
+
+def test_optimize_finds_the_cheapest_tree_and_says_what_it_saves(scene, tmp_path):
+    from typer.testing import CliRunner
+
+    from mibvh.cli import app
+
+    found = mibvh.optimize(scene, **FEW)
+    assert set(found.costs) == {"finite", "sbvh", "bittner_sbvh"}
+    assert found.costs[found.tree.meta["builder"]] == min(found.costs.values())
+    own, sbvh = found.costs["finite"], found.costs["sbvh"]
+    assert f"cost {own:.1f} in this tree" in found.sentence()
+    assert f"{1 - own / sbvh:.0%} of what they cost in sbvh ({sbvh:.1f})" in found.sentence()
+    path = tmp_path / "tree.npz"
+    options = [f"--option={name}={value}" for name, value in FEW.items()]
+    ran = CliRunner().invoke(app, ["optimize", "cornell@6000", "-o", str(path), *options])
+    assert ran.exit_code == 0, ran.output
+    assert "counted on" in ran.output
+    assert mibvh.Tree.load(path).validate(scene.triangles) == []
