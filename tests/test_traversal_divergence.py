@@ -45,6 +45,12 @@ def test_packets_by_hand():
     assert divergence.packet_maximum(VALUES, 1) == divergence.expected_maximum(VALUES, 1) == 1
 
 
+def test_simd_cost_by_hand():
+    # Mean 4, standard deviation 1: 2. LCV of 1, 33 is 16, its fourth root 2.
+    assert divergence.simd_cost(np.array([3, 5])) == 2
+    assert divergence.simd_cost(np.array([3, 5]), np.array([1, 33])) == pytest.approx(4)
+
+
 def test_rays_that_visit_nothing():
     none = np.zeros(8)
     assert divergence.relative_deviation(none) == divergence.within_packets(none, 4) == 0

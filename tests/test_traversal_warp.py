@@ -1,5 +1,7 @@
 """Warps in lockstep: against the Dr.Jit kernels, and against a literal, slow execution."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from test_traversal import random_rays, ray_set
@@ -24,8 +26,8 @@ def scene(request):
     return loaded.triangles, mibvh.diffuse_rays(loaded, viewpoints=2, width=32, height=24)
 
 
-def kernel_hits(tree, triangles, rays, style="single"):
-    tracer = Tracer(rays, float(unit_scale(triangles)), style=style)
+def kernel_hits(tree, triangles, rays, style="single", any_hit=False):
+    tracer = Tracer(rays, float(unit_scale(triangles)), style=style, any_hit=any_hit)
     return tracer.hits(make_records(tree, triangles))
 
 
@@ -80,6 +82,20 @@ def test_packets_of_the_kernels_issue_what_is_simulated(scene, builder):
         steps = warps.rounds if style == "single" else warps.issued
         assert hits.issued == steps.sum() * lane_width()
         assert_same(warps, hits)
+
+
+@pytest.mark.parametrize("builder", ["bbvh", "sbvh"])
+def test_rays_that_any_hit_ends(scene, builder):
+    triangles, rays = scene
+    tree = mibvh.build(triangles, builder)
+    for style in STYLES:
+        hits = kernel_hits(tree, triangles, rays, ALONE.get(style, "single"), any_hit=True)
+        assert_same(simulate(tree, triangles, rays, 1, style, any_hit=True), hits)
+        wide = simulate(tree, triangles, rays, 32, style, any_hit=True)
+        np.testing.assert_array_equal(wide.triangle >= 0, hits.triangle >= 0)
+        assert wide.tests.sum() < simulate(tree, triangles, rays, 32, style).tests.sum()
+    shadows = dataclasses.replace(rays, meta={**rays.meta, "occlusion": True})
+    assert_same(simulate(tree, triangles, shadows, 32, style), wide)
 
 
 # ------------------------------------------------------------ against a literal execution
@@ -281,6 +297,14 @@ def test_any_number_of_threads_gives_the_same(small, style):
         assert_same(more, one, ("t", "triangle", *COUNTERS, "issued", "rounds"))
 
 
+def test_maxima_are_those_of_packets_as_dealt(small):
+    warps = simulate(*small, 8, "single", order="random")
+    steps = (warps.inner + warps.tests)[warps.dealt].reshape(-1, 8)
+    np.testing.assert_array_equal(warps.maxima(warps.inner + warps.tests), steps.max(axis=1))
+    # In a single loop all wait for the longest.
+    np.testing.assert_array_equal(warps.rounds, steps.max(axis=1))
+
+
 @pytest.mark.parametrize("style", STYLES)
 def test_rays_in_step_with_each_other_keep_all_lanes_busy(small, style):
     tree, triangles, rays = small
@@ -310,12 +334,14 @@ def test_fetching_rays_keeps_lanes_busier(scene):
     assert (fetching.threshold, waiting.threshold) == (20, 0)
 
 
-def test_without_the_vote_rounds_are_fewer(scene):
+def test_without_the_vote_rounds_are_fewer_and_longer(scene):
     triangles, rays = scene
     tree = mibvh.build(triangles, "bbvh")
     voting = simulate(tree, triangles, rays, 32, "speculative")
     not_voting = simulate(tree, triangles, rays, 32, "speculative", vote=False)
     assert not_voting.rounds.sum() < voting.rounds.sum()
+    # What a lane visits is then no other lane's business, as in the Dr.Jit kernel.
+    assert_same(not_voting, kernel_hits(tree, triangles, rays, "speculative"))
 
 
 def test_orders(small_soup):
@@ -348,11 +374,8 @@ def test_morton_order_is_that_of_sorted_rays(cornell):
 def test_a_tree_that_is_one_leaf_and_rays_that_are_no_rays(style):
     one = mibvh.Triangles(np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], np.float32))
     tree = mibvh.build(one, "bbvh")
-    rays = ray_set(
-        [[0.2, 0.2, -1], [0, 0, 0], [0.9, 0.9, -1], [0.2, 0.2, -1]],
-        [[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 0, 1]],
-    )
-    rays.o[1, 0], rays.d[3] = np.nan, 0  # a ray set is not made of such rays
+    rays = ray_set([[0.2, 0.2, -1], [0, 0, 0], [0.9, 0.9, -1], [0.2, 0.2, -1]], [[0, 0, 1]] * 4)
+    rays.o[1], rays.d[3] = np.nan, 0  # a ray set is not made of such rays
     for width in (1, 2, 4):
         warps = simulate(tree, one, rays, width, style)
         assert warps.t.tolist() == [1, np.inf, np.inf, np.inf]
@@ -364,7 +387,7 @@ def test_a_tree_that_is_one_leaf_and_rays_that_are_no_rays(style):
 
 def test_only_rays_that_are_no_rays(small):
     tree, triangles, _ = small
-    rays = ray_set(np.ones((100, 3)), np.ones((100, 3)))
+    rays = random_rays(100)
     rays.o[:] = np.nan
     warps = simulate(tree, triangles, rays, 8)
     assert (warps.cost(), warps.utilisation()) == (0, 1)

@@ -1,1 +1,1 @@
-"""Traversal: the one Dr.Jit kernel, and the records it reads."""
+"""Traversal: the Dr.Jit kernels, the records they read, and warps simulated in lockstep."""

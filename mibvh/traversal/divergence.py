@@ -84,6 +84,25 @@ def packet_maximum(values: Counts, width: int, dealt: I32 | None = None) -> floa
     return float(rows.max(axis=1).mean() / rows.mean()) if rows.any() else 1.0
 
 
+def simd_cost(costs: Counts, leaves: Counts | None = None) -> float:
+    """Cost of a tree in wide warps, up to a factor that all trees of a scene share.
+
+    The square root of mean times standard deviation of what scalar rays cost; for a kernel whose
+    lanes wait for a warp's last ray, times the fourth root of LCV. The exponents are those found
+    over seventeen scenes, rounded; ``docs/simd.md`` has what they explain.
+
+    Parameters
+    ----------
+    costs : (R,) array
+        Of each ray alone, for instance ``1.2 * hits.inner + hits.tests``.
+    leaves : (R,) array, optional
+        Leaves that each ray visits. Leave it out for kernels that fetch rays dynamically, and for
+        a single loop.
+    """
+    mean, deviation = np.mean(costs, dtype=np.float64), np.std(costs, dtype=np.float64)
+    return float(np.sqrt(mean * deviation)) * (1.0 if leaves is None else lcv(leaves) ** 0.25)
+
+
 # ------------------------------------------------------------ rounds
 
 

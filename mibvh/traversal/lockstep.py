@@ -43,6 +43,8 @@ class Plan(NamedTuple):
     threshold : int
         Lanes that are done fetch new rays once a round began with fewer busy lanes than this;
         0: once all are done.
+    any_hit : bool
+        The first hit found ends a ray.
     """
 
     width: int
@@ -51,6 +53,7 @@ class Plan(NamedTuple):
     vote: bool
     leaves: int
     threshold: int
+    any_hit: bool
 
 
 class Rays(NamedTuple):
@@ -183,8 +186,8 @@ def _triple(dx, dy, dz, ax, ay, az, bx, by, bz):
 
 
 @njit(allocates=False)
-def _triangle_step(lanes, i, code, scene):
-    """Test one triangle; whether it is the last of its leaf."""
+def _triangle_step(lanes, i, code, plan, scene):
+    """Test one triangle; whether it is the last that the lane tests of its leaf."""
     rows, codes, row = scene.rows, scene.codes, ~code
     x, y, z = lanes.o[i, 0], lanes.o[i, 1], lanes.o[i, 2]
     dx, dy, dz = lanes.d[i, 0], lanes.d[i, 1], lanes.d[i, 2]
@@ -199,14 +202,17 @@ def _triangle_step(lanes, i, code, scene):
         at = (nx * ax + ny * ay + nz * az) / (nx * dx + ny * dy + nz * dz)
         if at >= _ZERO and at < lanes.t[i]:
             lanes.t[i], lanes.triangle[i] = at, codes[row, 12]
+            if plan.any_hit:
+                lanes.node[i], lanes.top[i] = _DONE, 0
+                return True
     return codes[row, 13] != 0
 
 
 @njit(allocates=False)
-def _leaf(lanes, i, code, scene, visits):
+def _leaf(lanes, i, code, plan, scene, visits):
     """Test all triangles of a leaf; how many those are."""
     steps = 1
-    while not _triangle_step(lanes, i, code, scene):
+    while not _triangle_step(lanes, i, code, plan, scene):
         code -= np.int32(1)
         steps += 1
     ray = lanes.ray[i]
@@ -271,7 +277,7 @@ def _test_leaves(lanes, first, plan, scene, visits):
         for i in range(first, first + plan.width):
             steps = 0
             while lanes.leaf[i] != _DONE:
-                steps += _leaf(lanes, i, lanes.leaf[i], scene, visits)
+                steps += _leaf(lanes, i, lanes.leaf[i], plan, scene, visits)
                 _next_leaf(lanes, i, plan.postpone)
                 if plan.leaves != OWN_PACE:
                     break
@@ -295,7 +301,7 @@ def _single_loop(lanes, first, plan, scene, visits, issued):
                 visits.inner[ray] += np.uint32(1)
                 nodes = 1
             elif node != _DONE:
-                last = _triangle_step(lanes, i, node, scene)
+                last = _triangle_step(lanes, i, node, plan, scene)
                 visits.tests[ray] += np.uint32(1)
                 visits.leaves[ray] += np.uint32(last)
                 lanes.node[i] = _pop(lanes, i) if last else node - np.int32(1)
@@ -404,7 +410,7 @@ def run_queues(lanes, plan, queues, rays, scene, visits, issued):
 @njit(allocates=False)
 def count_rounds(lanes, begin, end, rays, scene, visits, per_ray, descents, lengths):
     """Rounds of each ray alone, and how many are so long: node steps, triangle steps."""
-    plan = Plan(1, False, False, False, ONE_LEAF, 0)
+    plan = Plan(1, False, False, False, ONE_LEAF, 0, False)
     for ray in range(begin, end):
         _take(lanes, 0, ray, rays, scene.root, False)
         while lanes.node[0] != _DONE:

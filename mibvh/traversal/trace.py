@@ -17,7 +17,7 @@ from mibvh.ranges import check
 from mibvh.rays import RaySet
 from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.records import Layout, Records, make_records, unit_scale
-from mibvh.traversal.styles import STYLES, find_style
+from mibvh.traversal.styles import find_style
 from mibvh.traversal.visits import Visits
 from mibvh.tree import Tree
 from mibvh.triangles import F32, I32, as_triangles
@@ -126,7 +126,7 @@ class Hits:
             "inner_deviation": float(np.std(self.inner, dtype=np.float64)),
             "steps_deviation": float(np.std(self.steps, dtype=np.float64)),
         }
-        prefix = STYLES[self.style].prefix
+        prefix = find_style(self.style).prefix
         return {
             "hits": int((self.triangle >= 0).sum()),
             **{prefix + name: value for name, value in of_tree.items()},

@@ -32,6 +32,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -40,13 +41,13 @@ from mibvh.errors import MibvhError
 from mibvh.parallel import run_blocks, thread_count
 from mibvh.rays import RaySet
 from mibvh.traversal import lockstep
-from mibvh.traversal.divergence import Rounds
+from mibvh.traversal.divergence import Rounds, packets
 from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.order import Order, ray_order
 from mibvh.traversal.records import binary_rows, unit_scale
 from mibvh.traversal.visits import Visits
 from mibvh.tree import Tree
-from mibvh.triangles import F32, I32, Triangles, as_triangles
+from mibvh.triangles import F32, F64, I32, Triangles, as_triangles
 
 U32 = npt.NDArray[np.uint32]
 I64 = npt.NDArray[np.int64]
@@ -172,6 +173,21 @@ class Warps:
         cost = self.cost(c_inner, c_tri)
         return self.counted_cost(c_inner, c_tri) / cost if cost else 1.0
 
+    def maxima(self, counts: npt.NDArray[Any]) -> F64:
+        """Largest of a count in each packet of rays that are dealt side by side.
+
+        Parameters
+        ----------
+        counts : (R,) array
+            Such as ``leaves``, or ``1.2 * inner + tests``.
+
+        Returns
+        -------
+        (R // width,) float64
+            Of full packets. Where lanes fetch rays, these are no longer a warp's rays at one time.
+        """
+        return packets(counts, self.width, self.dealt).max(axis=1)
+
     @property
     def lcv(self) -> float:
         """Leaf count variability: standard deviation over the rays of the leaves visited."""
@@ -186,6 +202,7 @@ def simulate(
     style: str = "persistent",
     *,
     vote: bool | None = None,
+    any_hit: bool | None = None,
     fetch_below: int = FETCH_BELOW,
     order: Order = "stored",
     seed: int = 0,
@@ -207,6 +224,9 @@ def simulate(
         One of :data:`STYLES`.
     vote : bool, optional
         Leave the vote out, or put it in; as the style has it by default.
+    any_hit : bool, optional
+        End each ray at the first hit found instead of the closest; by default as the rays are
+        (:attr:`mibvh.RaySet.occlusion`).
     fetch_below : int
         Of the persistent style: busy lanes of 32 below which those that are done fetch rays;
         in proportion for other widths, rounded up.
@@ -229,10 +249,11 @@ def simulate(
     Raises
     ------
     MibvhError
-        If the tree belongs to another geometry, or an argument is out of range.
+        If the tree or the rays belong to another geometry, or an argument is out of range.
     """
     geometry = as_triangles(triangles)
     tree.check_matches(geometry)
+    rays.check_matches(geometry)
     rules = _rules(style, vote)
     for name, value in (("fetch_below", fetch_below), ("rays_per_lane", rays_per_lane),
                         ("warps", warps)):  # fmt: skip
@@ -245,6 +266,7 @@ def simulate(
     plan = lockstep.Plan(
         width, not rules.rounds, rules.postpone, rules.vote, rules.leaves,
         min(-(-fetch_below * width // 32), width) if rules.fetch else 0,
+        rays.occlusion if any_hit is None else any_hit,
     )  # fmt: skip
     sharing, per_lane = (warps, rays_per_lane) if rules.fetch else (1, 1)
     dealt = ray_order(rays, geometry.bounds, order, seed)
@@ -270,7 +292,7 @@ def _rules(style: str, vote: bool | None) -> WarpStyle:
 
 
 def ray_rounds(tree: Tree, triangles: object, rays: RaySet, threads: int | None = None) -> Rounds:
-    """Cut every ray's traversal into its rounds: a descent, and the leaf at its end.
+    """Cut every ray's way to its closest hit into rounds: a descent, and the leaf at its end.
 
     Parameters
     ----------
@@ -284,10 +306,11 @@ def ray_rounds(tree: Tree, triangles: object, rays: RaySet, threads: int | None 
     Raises
     ------
     MibvhError
-        If the tree belongs to another geometry.
+        If the tree or the rays belong to another geometry.
     """
     geometry = as_triangles(triangles)
     tree.check_matches(geometry)
+    rays.check_matches(geometry)
     scene, work, _ = _prepare(tree, geometry, rays, np.arange(len(rays), dtype=np.int32))
     visits, per_ray = lockstep.new_visits(len(rays)), np.zeros(len(rays), np.uint32)
     workers = threads or thread_count()
