@@ -259,8 +259,7 @@ def simulate(
                         ("warps", warps)):  # fmt: skip
         if value < 1:
             raise MibvhError(f"{name} must be at least 1, not {value}")
-    if width not in WIDTHS:
-        raise MibvhError(f"the width must be one of {', '.join(map(str, WIDTHS))}, not {width}")
+    check_rules(width, style)
     if len(rays) == 0:
         raise MibvhError("there are no rays to trace")
     plan = lockstep.Plan(
@@ -278,6 +277,19 @@ def simulate(
         (visits.t / unit).astype(np.float32), *visits[1:], issued[:, :2].copy(),
         issued[:, 2].copy(), dealt,
     )  # fmt: skip
+
+
+def check_rules(width: int, style: str) -> None:
+    """Refuse a width or style that there are no warps of.
+
+    Raises
+    ------
+    MibvhError
+        If the width is none of :data:`WIDTHS`, or the style none of :data:`STYLES`.
+    """
+    if width not in WIDTHS:
+        raise MibvhError(f"the width must be one of {', '.join(map(str, WIDTHS))}, not {width}")
+    _rules(style, None)
 
 
 def _rules(style: str, vote: bool | None) -> WarpStyle:
