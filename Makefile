@@ -1,4 +1,4 @@
-# Two commands on a fresh machine: `make study` and `make test`.
+# Two commands on a fresh machine: `make study` and `make test`; `make help` lists the others.
 # Needs git, make and Python >= 3.11; sets up the rest and says what it does.
 
 PYTHON ?= python3
@@ -13,23 +13,39 @@ SCENES ?= cornell livingroom hairball city_italian vegetation powerplant
 FUZZ_SECONDS ?= 300
 FUZZ_SEED    ?= 0
 
-.PHONY: study test lint fuzz setup lock clean
+.PHONY: help study test test-fast test-lowest test-wheel lint docs fuzz setup lock clean
 
-study: setup
+help: ## List the targets
+	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' $(MAKEFILE_LIST) | awk -F': ' '{ printf "make %-12s %s\n", $$1, $$2 }'
+
+study: setup ## Study SCENES of SIZE triangles each; tables and report in OUT
 	$(BIN)/mibvh study $(addsuffix @$(SIZE),$(SCENES)) -o $(OUT)
 
-test: setup
+test: setup ## Run all tests
 	$(BIN)/python -m pytest
 
-lint: setup
+test-fast: setup ## Run the tests that take seconds (no studies, clusters, browsers, notebooks)
+	$(BIN)/python -m pytest -m fast
+
+test-lowest: ## Run some tests with the oldest dependencies that pyproject.toml allows
+	PYTHON=$(PYTHON) sh tools/test_lowest.sh
+
+test-wheel: ## Build wheel and sdist, install each alone, and run what a user would
+	PYTHON=$(PYTHON) sh tools/test_wheel.sh
+
+lint: setup ## Check style and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-fuzz: setup
+docs: $(VENV)/docs ## Make the site of docs/ and the API; fails on any warning
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo "out/docs/index.html"
+
+fuzz: setup ## Try hostile input for FUZZ_SECONDS from FUZZ_SEED
 	FUZZ_SECONDS=$(FUZZ_SECONDS) FUZZ_SEED=$(FUZZ_SEED) $(BIN)/python -m tools.fuzz
 
-setup: $(VENV)/installed
+setup: $(VENV)/installed ## Make the environment, in .venv
 	@PYTHON=$(BIN)/python sh tools/ensure_llvm.sh
 
 $(VENV)/installed: pyproject.toml requirements.lock
@@ -40,9 +56,13 @@ $(VENV)/installed: pyproject.toml requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
 	@touch $@
 
-# Needs uv; writes the versions that `make setup` installs.
-lock:
+$(VENV)/docs: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	@touch $@
+
+# Needs uv.
+lock: ## Write the versions that `make setup` installs
 	uv pip compile --quiet --universal --python-version 3.11 --extra dev --no-emit-index-url --no-annotate --no-header -o requirements.lock pyproject.toml
 
-clean:
+clean: ## Remove the environment and results
 	rm -rf $(VENV) out

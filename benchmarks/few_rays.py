@@ -74,9 +74,11 @@ def measure(scene: mibvh.Scene, count: int, repeats: int) -> None:
                 by_density.append(mibvh.epo(trees[0], triangles, weights=density) / weighed - 1)
         rms = [float(np.sqrt(np.mean(np.square(e)))) for e in (errors, by_density, of_lines)]
         print(
-            f"| {scene.name} | {k:,} | " + " | ".join(f"{e:.1%}" for e in rms)
-            + f" | {min(r_ends):.3f} | {min(r_lines):.3f} |", flush=True,
-        )  # fmt: skip
+            f"| {scene.name} | {k:,} | "
+            + " | ".join(f"{e:.1%}" for e in rms)
+            + f" | {min(r_ends):.3f} | {min(r_lines):.3f} |",
+            flush=True,
+        )
     epo = starts_all.mean(axis=1)
     ends_r = pearson(predict(sah, epo, fit_alpha(sah, epo, cost)), cost)
     lines_r = pearson(lines_all @ share / len(rays) + queries.mean(axis=1), cost)

@@ -62,9 +62,11 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=96)
     parser.add_argument("--height", type=int, default=72)
     asked = parser.parse_args()
-    print("scene kind rays hit s | alpha fitted, estimated, 1/(1+s) | r of SAH, SAH + EPO fitted, "
-          "estimated, finite rays, any-hit, touched | levels of any-hit and touched | "
-          "trees, cheapest first, and the dearest by the cheapest")  # fmt: skip
+    print(
+        "scene kind rays hit s | alpha fitted, estimated, 1/(1+s) | r of SAH, SAH + EPO fitted, "
+        "estimated, finite rays, any-hit, touched | levels of any-hit and touched | "
+        "trees, cheapest first, and the dearest by the cheapest"
+    )
     for name in asked.scenes:
         source = asked.folder / name / "scene.xml" if asked.folder else name
         scene = mibvh.load(source)
@@ -106,9 +108,15 @@ def _row(scene: mibvh.Scene, rays: mibvh.RaySet, trees: list[mibvh.Tree], sah: n
     ours = any_hit_ray_cost(sah, query, length, saved)
     hit = float((closest.triangle >= 0).mean())
     return Row(
-        len(rays), hit, hit if rays.occlusion else 0.0, length, np.array(cost), finite, ours,
+        len(rays),
+        hit,
+        hit if rays.occlusion else 0.0,
+        length,
+        np.array(cost),
+        finite,
+        ours,
         np.array(touched) - np.array(saved),
-    )  # fmt: skip
+    )
 
 
 def _starts(scene: mibvh.Scene, rays: mibvh.RaySet, tree: mibvh.Tree) -> float:
@@ -139,11 +147,13 @@ def _print(scene: str, kind: str, row: Row, sah: np.ndarray, epo: np.ndarray) ->
     r = [pearson(x, row.cost) for x in (sah, both, estimated, row.finite, row.ours, row.touched)]
     levels = [np.mean(x / row.cost) for x in (row.ours, row.touched)]
     ranked = [BUILDERS[i] for i in np.argsort(row.cost)]
-    print(f"{scene:12} {kind:8} {row.count:6} {row.hit:.2f} {row.length:.2f} | "
-          f"{fitted:.2f} {alpha:.2f} {estimate_alpha(row.length):.2f} | "
-          f"{' '.join(f'{v:.3f}' for v in r)} | {' '.join(f'{v:.2f}' for v in levels)} | "
-          f"{' '.join(ranked)} {row.cost.max() / row.cost.min():.2f}",
-          flush=True)  # fmt: skip
+    print(
+        f"{scene:12} {kind:8} {row.count:6} {row.hit:.2f} {row.length:.2f} | "
+        f"{fitted:.2f} {alpha:.2f} {estimate_alpha(row.length):.2f} | "
+        f"{' '.join(f'{v:.3f}' for v in r)} | {' '.join(f'{v:.2f}' for v in levels)} | "
+        f"{' '.join(ranked)} {row.cost.max() / row.cost.min():.2f}",
+        flush=True,
+    )
 
 
 if __name__ == "__main__":

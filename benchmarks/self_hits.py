@@ -46,12 +46,16 @@ def _moved(scene: mibvh.Scene, way: np.ndarray) -> mibvh.Scene:
 def _camera(sensor: Any, way: np.ndarray, scene: mibvh.Scene) -> Any:
     matrix = np.array(sensor.world_transform().matrix, dtype=float).reshape(4, 4)
     matrix[:3, 3] += way
-    return mi.load_dict({
-        "type": "perspective", "fov": float(np.ravel(mi.traverse(sensor)["x_fov"])[0]),
-        "near_clip": 1e-4 * scene.triangles.diagonal, "far_clip": 1e6,
-        "to_world": mi.ScalarTransform4f(matrix),
-        "film": {"type": "hdrfilm", "width": 160, "height": 120},
-    })  # fmt: skip
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov": float(np.ravel(mi.traverse(sensor)["x_fov"])[0]),
+            "near_clip": 1e-4 * scene.triangles.diagonal,
+            "far_clip": 1e6,
+            "to_world": mi.ScalarTransform4f(matrix),
+            "film": {"type": "hdrfilm", "width": 160, "height": 120},
+        }
+    )
 
 
 def _shares(scene: mibvh.Scene) -> str:

@@ -33,8 +33,13 @@ RUNS: dict[str, tuple[str, int, str]] = {
     "single 16": ("single", 16, "stored"),
 }
 #: The kernels whose deviation from scalar cost is to be explained.
-KERNELS = ("persistent 32", "persistent 32, random", "speculative 32", "speculative 32, random",
-           "single 16")  # fmt: skip
+KERNELS = (
+    "persistent 32",
+    "persistent 32, random",
+    "speculative 32",
+    "speculative 32, random",
+    "single 16",
+)
 #: What might explain it, each but for a factor that the trees of a scene share.
 QUANTITIES = {
     "lcv": "LCV",
@@ -100,10 +105,15 @@ def measure(scene: Any, builder: str, rays: Any, folder: Path | None) -> Row:
         if (run.t != alone.t).any() or (run.triangle != alone.triangle).any():
             raise SystemExit(f"{scene.name}, {builder}, {name}: hits differ from scalar ones")
     return Row(
-        scene.name, builder, len(scene.triangles), len(rays), mibvh.sah(tree),
+        scene.name,
+        builder,
+        len(scene.triangles),
+        len(rays),
+        mibvh.sah(tree),
         # From points: of trees that split triangles, too.
         estimate_epo(tree, scene, 200_000).value,
-        alone.lcv, alone.cost(),
+        alone.lcv,
+        alone.cost(),
         {name: run.cost() for name, run in runs.items()},
         {name: run.utilisation() for name, run in runs.items()},
         {
@@ -120,7 +130,7 @@ def measure(scene: Any, builder: str, rays: Any, folder: Path | None) -> Row:
             "rounds_real": divergence.rounds_cost(rounds, 32, fetch=False, dealt=stored)
             / alone.cost(),
         },
-    )  # fmt: skip
+    )
 
 
 def tree_of(scene: Any, builder: str, folder: Path | None) -> Any:
@@ -175,9 +185,11 @@ def check(source: str, folder: Path | None) -> None:
         "random order": {"order": "random"},
         "Morton order, queues of 16 rays per lane": {"order": "morton", "rays_per_lane": 16},
         "Morton order, one queue for 720 warps": {
-            "order": "morton", "warps": 720, "rays_per_lane": len(rays)
+            "order": "morton",
+            "warps": 720,
+            "rays_per_lane": len(rays),
         },
-    }  # fmt: skip
+    }
     ratios: dict[str, list[float]] = {way: [] for way in ways}
     for builder in names():
         tree = tree_of(scene, builder, folder)
@@ -185,10 +197,13 @@ def check(source: str, folder: Path | None) -> None:
         for way, options in ways.items():
             ratios[way].append(simulate(tree, scene, rays, 32, **options).cost() / alone)
     print(f"\n## {scene.name}, {len(rays):,} rays, `persistent 32`: deviation in per cent")
-    table(["rays", *names(), "mean utilisation"], [
-        [way, *(f"{100 * d:+.1f}" for d in _centred(r)), f"{np.mean(1 / np.array(r)):.2f}"]
-        for way, r in ratios.items()
-    ])  # fmt: skip
+    table(
+        ["rays", *names(), "mean utilisation"],
+        [
+            [way, *(f"{100 * d:+.1f}" for d in _centred(r)), f"{np.mean(1 / np.array(r)):.2f}"]
+            for way, r in ratios.items()
+        ],
+    )
 
 
 # ------------------------------------------------------------ analysis
@@ -206,18 +221,23 @@ class Scenes:
 
     def deviation(self, kernel: str) -> list[F64]:
         """Logarithm of SIMD over scalar cost, less the scene's mean: an array per scene."""
-        return [_centred([row.costs[kernel] / row.scalar for row in self.rows[name]])
-                for name in self.names]  # fmt: skip
+        return [
+            _centred([row.costs[kernel] / row.scalar for row in self.rows[name]])
+            for name in self.names
+        ]
 
     def quantity(self, name: str) -> list[F64]:
         """Logarithm of a quantity, less the scene's mean."""
-        return [_centred([row.quantities[name] for row in self.rows[scene]])
-                for scene in self.names]  # fmt: skip
+        return [
+            _centred([row.quantities[name] for row in self.rows[scene]]) for scene in self.names
+        ]
 
     def equation(self, name: str) -> list[F64]:
         """Logarithm of a product of quantities to powers, less the scene's mean."""
-        terms = [[power * x for x in self.quantity(quantity)]
-                 for quantity, power in EQUATIONS[name].items()]  # fmt: skip
+        terms = [
+            [power * x for x in self.quantity(quantity)]
+            for quantity, power in EQUATIONS[name].items()
+        ]
         return [np.sum(scene, axis=0) for scene in zip(*terms, strict=True)]
 
 
@@ -237,8 +257,9 @@ def explained(x: list[F64], y: list[F64], fitted: bool = True) -> F64:
     A scene's deviation is predicted by the quantity times a slope: that of the other scenes, or 1.
     """
     slopes = [slope([x], y, i)[0] if fitted else 1.0 for i in range(len(x))]
-    return np.array([(((v - b * u) ** 2).sum(), (v**2).sum())
-                     for u, v, b in zip(x, y, slopes, strict=True)])  # fmt: skip
+    return np.array(
+        [(((v - b * u) ** 2).sum(), (v**2).sum()) for u, v, b in zip(x, y, slopes, strict=True)]
+    )
 
 
 def slope(columns: list[list[F64]], y: list[F64], without: int) -> F64:
@@ -318,8 +339,18 @@ def by_builder(scenes: Scenes) -> None:
         lowest = sum(r[k].lcv == min(row.lcv for row in r) for r in rows)
         cells.append(str(lowest))
         lines.append(cells)
-    table(["builder", *KERNELS, "LCV", "LCV / mean", "cost std / mean", "rounds, fetching",
-           "scenes with lowest LCV"], lines)  # fmt: skip
+    table(
+        [
+            "builder",
+            *KERNELS,
+            "LCV",
+            "LCV / mean",
+            "cost std / mean",
+            "rounds, fetching",
+            "scenes with lowest LCV",
+        ],
+        lines,
+    )
 
 
 def explanations(scenes: Scenes) -> None:
@@ -339,8 +370,17 @@ def explanations(scenes: Scenes) -> None:
             raw = explained(x, y, fitted=False)
             lines.append([name, *_judged(scenes, y, x, None, raw)])
         print(f"\n## What explains the deviation of `{kernel}`")
-        table(["quantity", "r pooled", "95% over scenes", "explained, held out",
-               "explained as it is", "more than LCV held out, 95%"], lines)  # fmt: skip
+        table(
+            [
+                "quantity",
+                "r pooled",
+                "95% over scenes",
+                "explained, held out",
+                "explained as it is",
+                "more than LCV held out, 95%",
+            ],
+            lines,
+        )
 
 
 def _judged(
@@ -424,8 +464,10 @@ def draw(scenes: Scenes, path: Path) -> None:
     for k, builder in enumerate(builders):
         kernels = [f"persistent {width}" for width in WIDTHS]
         d = [100 * np.mean([v[k] for v in scenes.deviation(kernel)]) for kernel in kernels]
-        busy = [np.mean([scenes.rows[name][k].utilisation[kernel] for name in scenes.names])
-                for kernel in kernels]  # fmt: skip
+        busy = [
+            np.mean([scenes.rows[name][k].utilisation[kernel] for name in scenes.names])
+            for kernel in kernels
+        ]
         style = "-" if builder in ("bbvh", "sbvh") else "--"
         axes[0].plot(WIDTHS, d, style, marker="o", markersize=3, label=builder)
         axes[1].plot(WIDTHS, busy, style, marker="o", markersize=3)

@@ -92,8 +92,11 @@ def tables(found: list[dict[str, Any]], styles: list[str]) -> list[str]:
             found,
             ["triangles", "rays", "Embree Mrays/s", *styles, "different hits"],
             lambda s: [
-                f"{s['triangles']:,}", f"{s['rays']:,}", f"{s['mrays'][-1]:.2f}",
-                *(f"{ratio:.2f}" for ratio in s["ratio"]), str(s["different"]),
+                f"{s['triangles']:,}",
+                f"{s['rays']:,}",
+                f"{s['mrays'][-1]:.2f}",
+                *(f"{ratio:.2f}" for ratio in s["ratio"]),
+                str(s["different"]),
             ],
         ),
         f"| geometric mean | | | | {' | '.join(f'{mean:.2f}' for mean in means)} | |",
@@ -117,7 +120,7 @@ def tables(found: list[dict[str, Any]], styles: list[str]) -> list[str]:
                 for style in styles
             ],
         ),
-    ]  # fmt: skip
+    ]
 
 
 def machine(here: dict[str, Any]) -> str:

@@ -14,6 +14,7 @@ from mibvh.version import __version__
 if TYPE_CHECKING:
     from mibvh import plot
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
+    from mibvh.collapsing import collapse, unfold
     from mibvh.errors import MibvhError
     from mibvh.layouts import read_tree, write_tree
     from mibvh.metrics.epo import epo, epo_per_depth, epo_per_node
@@ -33,12 +34,14 @@ if TYPE_CHECKING:
         path_length_ratio,
     )
     from mibvh.metrics.sah import sah, sah_per_node
+    from mibvh.quantise import quantised
     from mibvh.rays import Mixture, RaySet, diffuse_rays, make_rays, read_rays
     from mibvh.scene import Scene, load
     from mibvh.studies import Study, StudyOptions, study
     from mibvh.traversal.trace import Hits, trace
     from mibvh.tree import Tree
     from mibvh.triangles import Triangles, rotation_about
+    from mibvh.wide_tree import WideTree
 
 _PUBLIC = {
     "Context": "mibvh.builders",
@@ -57,8 +60,10 @@ _PUBLIC = {
     "StudyOptions": "mibvh.studies",
     "Tree": "mibvh.tree",
     "Triangles": "mibvh.triangles",
+    "WideTree": "mibvh.wide_tree",
     "build": "mibvh.builders",
     "builder": "mibvh.builders",
+    "collapse": "mibvh.collapsing",
     "diffuse_rays": "mibvh.rays",
     "epo": "mibvh.metrics.epo",
     "epo_at_ends": "mibvh.metrics.points",
@@ -74,6 +79,7 @@ _PUBLIC = {
     "path_length_ratio": "mibvh.metrics.predictor",
     "plot": "mibvh",
     "point_costs": "mibvh.metrics.points",
+    "quantised": "mibvh.quantise",
     "ray_ends": "mibvh.metrics.points",
     "ray_lines": "mibvh.metrics.lines",
     "read_tree": "mibvh.layouts",
@@ -84,6 +90,7 @@ _PUBLIC = {
     "sah_per_node": "mibvh.metrics.sah",
     "study": "mibvh.studies",
     "trace": "mibvh.traversal.trace",
+    "unfold": "mibvh.collapsing",
     "write_tree": "mibvh.layouts",
 }
 
@@ -104,9 +111,11 @@ __all__ = [
     "StudyOptions",
     "Tree",
     "Triangles",
+    "WideTree",
     "__version__",
     "build",
     "builder",
+    "collapse",
     "diffuse_rays",
     "epo",
     "epo_at_ends",
@@ -122,6 +131,7 @@ __all__ = [
     "path_length_ratio",
     "plot",
     "point_costs",
+    "quantised",
     "ray_ends",
     "ray_lines",
     "read_rays",
@@ -132,6 +142,7 @@ __all__ = [
     "sah_per_node",
     "study",
     "trace",
+    "unfold",
     "write_tree",
 ]
 

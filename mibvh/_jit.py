@@ -2,13 +2,45 @@
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import functools
+import os
+import shutil
+import stat
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numba
 from numba.core.dispatcher import Dispatcher
+
+#: The process that ran the first parallel kernel.
+_parallel_process: int | None = None
+
+
+def in_parallel(kernel: Any, *arguments: Any) -> Any:
+    """Call a kernel that was compiled with ``parallel=True``.
+
+    GNU OpenMP ends a process that was forked after a parallel kernel ran: there, the same code
+    runs on one thread, compiled anew.
+    """
+    global _parallel_process
+    if _parallel_process is None:
+        _parallel_process = os.getpid()
+    if os.getpid() != _parallel_process and numba.threading_layer() == "omp":
+        return _on_one_thread(kernel)(*arguments)
+    return kernel(*arguments)
+
+
+@functools.cache
+def _on_one_thread(kernel: Dispatcher) -> Dispatcher:
+    # Not kept: Numba would take the one for the other.
+    options = {**kernel.targetoptions, "parallel": False}
+    return numba.njit(**{k: v for k, v in options.items() if k not in ("nopython", "boundscheck")})(
+        kernel.py_func
+    )
 
 
 def njit(
@@ -24,17 +56,57 @@ def njit(
     Numba stamps a cached kernel with the file it stands in, and so keeps running an old
     copy of a callee or a constant from another file that has changed since. A stale kernel
     is a wrong number, so the stamp here covers those too.
+
+    Compiled code is kept beside the source, or in the user's cache, or, where neither can be
+    written, among the temporary files. ``NUMBA_CACHE_DIR`` names another place.
     """
     if function is None:
         return functools.partial(njit, allocates=allocates, **options)
     # Said either way: a callee takes it from its caller otherwise.
     options["_nrt"] = allocates
-    compiled = numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+    options |= {"nogil": True, "error_model": "numpy"}
+    try:
+        compiled = numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # neither the package nor the home can be written
+        numba.config.CACHE_DIR = _temporary_cache()
+        compiled = numba.njit(cache=True, **options)(function)
     compiled.mibvh_files = _files(function)
+    _keep_if_possible(compiled)
     cache_file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if cache_file is not None and hasattr(cache_file, "_source_stamp"):
         cache_file._source_stamp = _stamp(function, compiled.mibvh_files)
     return compiled
+
+
+@functools.cache
+def _temporary_cache() -> str:
+    """Return a folder for compiled code among the temporary files.
+
+    One for all runs of this user; one for this run alone if somebody else could write to it, as
+    what is in it is run.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    path = Path(tempfile.gettempdir()) / f"mibvh-compiled-{user}"
+    with contextlib.suppress(OSError):
+        path.mkdir(mode=0o700, exist_ok=True)
+        found = path.lstat()
+        if stat.S_ISDIR(found.st_mode) and found.st_uid == user and not found.st_mode & 0o077:
+            return str(path)
+    alone = tempfile.mkdtemp(prefix="mibvh-compiled-")
+    atexit.register(shutil.rmtree, alone, ignore_errors=True)
+    return alone
+
+
+def _keep_if_possible(compiled: Dispatcher) -> None:
+    """Let a full disk cost no more than the next run's time."""
+    cache = compiled._cache
+    save = cache.save_overload
+
+    def save_overload(signature: Any, data: Any) -> None:
+        with contextlib.suppress(OSError):
+            save(signature, data)
+
+    cache.save_overload = save_overload
 
 
 def _files(function: Callable[..., Any]) -> frozenset[str]:

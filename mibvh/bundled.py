@@ -12,6 +12,7 @@ from typing import Any
 import platformdirs
 
 from mibvh.errors import MibvhError, did_you_mean
+from mibvh.files import make_folder, write_text
 from mibvh.loading import printable
 from mibvh.ranges import check
 
@@ -47,6 +48,31 @@ def _import_folder(name: str, path: Path) -> ModuleType:
     return module
 
 
+def copy_notebooks(target: Path) -> list[Path]:
+    """Copy the bundled notebooks into a folder; return them.
+
+    Parameters
+    ----------
+    target : Path
+        Made if it is not there.
+
+    Raises
+    ------
+    MibvhError
+        If a file of that name is there, or the folder cannot be written.
+    """
+    sources = sorted(folder("notebooks").glob("*.ipynb"))
+    if not sources:
+        raise MibvhError("the notebooks are missing from this installation")
+    copies = [make_folder(target) / source.name for source in sources]
+    for copy in copies:
+        if copy.exists():
+            raise MibvhError(f"{copy}: is there already; name another folder")
+    for source, copy in zip(sources, copies, strict=True):
+        write_text(copy, source.read_text(encoding="utf-8"))
+    return copies
+
+
 def make_scene(
     name: str, target: Path, triangles: int | None = None, seed: int | None = None
 ) -> Path:
@@ -67,11 +93,13 @@ def make_scene(
         If there is no bundled scene of that name, or a number is out of range.
     """
     _check(name, triangles, seed)
+    make_folder(target)
     try:
-        target.mkdir(parents=True, exist_ok=True)
+        return Path(scenes_package().write(name, target, triangles, seed))
     except OSError as error:
-        raise MibvhError(f"{target}: cannot be made a folder ({error.strerror})") from None
-    return Path(scenes_package().write(name, target, triangles, seed))
+        raise MibvhError(
+            f"{target}: scene {name} cannot be written ({error.strerror or error})"
+        ) from error
 
 
 def _check(name: str, triangles: int | None, seed: int | None) -> None:

@@ -7,13 +7,14 @@ or 2 with one sentence for a user's mistake.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib.util
 import json
 import os
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,10 +22,31 @@ import typer
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+from typer.core import TyperGroup
 
 from mibvh.errors import MibvhError
+from mibvh.heartbeat import Heartbeat
+
+#: Exit code of a command that Ctrl-C ended, as of any program that it ends.
+INTERRUPTED = 130
+
+
+class _Commands(TyperGroup):
+    """The commands; Ctrl-C ends them with a sentence rather than "Aborted!"."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            # What a study has finished is kept; others write their one file at the end.
+            goes_on = ctx.invoked_subcommand == "study"
+            said = "interrupted; the same command goes on" if goes_on else "interrupted"
+            sys.stderr.write(f"mibvh: {said}\n")
+            raise SystemExit(INTERRUPTED) from None
+
 
 app = typer.Typer(
+    cls=_Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -65,27 +87,42 @@ def _print(result: dict[str, Any], as_json: bool) -> None:
     Console().print(table)
 
 
-def _progress() -> Any:
-    """A progress bar on standard error, quiet where that is no terminal."""
+@contextlib.contextmanager
+def _progress() -> Iterator[Any]:
+    """A progress bar on standard error; where that is no terminal, a line every few seconds."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    return Progress(
+    terminal = sys.stderr.isatty()
+    bar = Progress(
         TextColumn("{task.description:<28}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f}%"),
         TimeRemainingColumn(),
         console=Console(stderr=True),
-        disable=not sys.stderr.isatty(),
+        disable=not terminal,
         transient=True,
     )
 
+    def say() -> None:
+        for task in bar.tasks[-1:]:
+            sys.stderr.write(f"mibvh: {task.description} ({task.percentage:.0f}%)\n")
 
-def _show(bar: Any, task: Any) -> Callable[[str, float], None]:
+    with bar, contextlib.nullcontext() if terminal else Heartbeat(say):
+        yield bar
+
+
+def _doing(what: str) -> Heartbeat:
+    """Say every few seconds what a command is at that has no progress to tell."""
+    return Heartbeat(lambda: typer.echo(f"mibvh: {what} ...", err=True))
+
+
+def _show(bar: Any, task: Any, what: str = "") -> Callable[[str, float], None]:
     """Show stages on a bar. Each has a time of its own: the last one's tells nothing of it."""
 
     def show(stage: str, done: float) -> None:
-        if bar.tasks[task].description != stage:
-            bar.reset(task, description=stage)
+        words = f"{what}: {stage}" if what else stage
+        if bar.tasks[task].description != words:
+            bar.reset(task, description=words)
         bar.update(task, completed=done)
 
     return show
@@ -95,7 +132,8 @@ def _load(source: str, define: list[str] | None = None) -> Any:
     """Load a scene, and say on standard error what could not be taken over as it is."""
     from mibvh import load
 
-    scene = load(source, _parse_pairs(define or [], "-D"))
+    with _doing(f"loading {source}"):
+        scene = load(source, _parse_pairs(define or [], "-D"))
     for note in scene.notes:
         typer.echo(f"mibvh: {scene.name}: {note}", err=True)
     return scene
@@ -180,7 +218,7 @@ def build_command(
         tree = build(
             triangles,
             builder,
-            progress=_show(bar, task),
+            progress=_show(bar, task, builder),
             **options,
         )
     tree.save(output)
@@ -374,10 +412,11 @@ def trace(
     from mibvh.traversal.trace import trace as run
 
     triangles = _load(scene, define).triangles
-    hits = run(
-        Tree.load(tree), triangles, read_rays(rays), lanes,  # type: ignore[arg-type]
-        style=style, cull=cull, any_hit=any_hit or None, repeats=repeats,
-    )  # fmt: skip
+    with _doing("tracing"):
+        hits = run(
+            Tree.load(tree), triangles, read_rays(rays), lanes,  # type: ignore[arg-type]
+            style=style, cull=cull, any_hit=any_hit or None, repeats=repeats,
+        )  # fmt: skip
     if output:
         hits.save(output)
     _print(hits.summary(), as_json)
@@ -543,10 +582,10 @@ def report(
     folder: Annotated[Path, typer.Argument(help="of a study")], as_json: Json = False
 ) -> None:
     """Remake a study's tables and report without measuring again."""
-    from mibvh.studies.run import read_study, write_outputs
+    from mibvh.studies.run import remake_report
 
-    found = read_study(folder)
-    write_outputs(found.folder, found.scenes)
+    with _doing("writing the report"):
+        found = remake_report(folder)
     _print({"report": str(found.report), "scenes": len(found.scenes)}, as_json)
 
 
@@ -591,6 +630,21 @@ def predictors(as_json: Json = False) -> None:
     for one in known():
         table.add_row(one.name, one.formula, one.free)
     Console().print(table)
+
+
+@app.command()
+def notebooks(
+    output: Annotated[Path, typer.Option("-o", "--output", help="folder to copy them into")],
+    as_json: Json = False,
+) -> None:
+    """Copy the notebooks, which come with mibvh, to where they can be run."""
+    from mibvh.bundled import copy_notebooks
+
+    copied = [str(path) for path in copy_notebooks(output)]
+    if as_json:
+        typer.echo(json.dumps({"notebooks": copied}))
+        return
+    typer.echo("\n".join(copied))
 
 
 @app.command()
@@ -669,10 +723,11 @@ def scenes_make(
 
     made = {}
     for name in names or list(scenes_package().CATALOGUE):
-        if output is None:
-            made[name] = str(bundled_scene(name, triangles, seed))
-        else:
-            made[name] = str(make_scene(name, output / name, triangles, seed))
+        with _doing(f"making {name}"):
+            if output is None:
+                made[name] = str(bundled_scene(name, triangles, seed))
+            else:
+                made[name] = str(make_scene(name, output / name, triangles, seed))
         if not as_json:
             typer.echo(made[name])
     if as_json:
@@ -691,15 +746,27 @@ def scenes_show(
     from mibvh.picture import picture, png
 
     scene = _load(name, define)
-    with atomic_path(output) as path:
+    with _doing("rendering"), atomic_path(output) as path:
         path.write_bytes(png(picture(scene)))
     _print(
         {"scene": scene.name, "triangles": len(scene.triangles), "picture": str(output)}, as_json
     )
 
 
+def _keep_stdout_for_results() -> None:
+    """Send what Mitsuba's log writes to standard output to standard error instead.
+
+    The log writes to the file descriptor; results go where it pointed before.
+    """
+    sys.stdout.flush()
+    results = os.dup(1)
+    os.dup2(2, 1)
+    sys.stdout = os.fdopen(results, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)
+
+
 def main() -> None:
     """Entry point of the ``mibvh`` command."""
+    _keep_stdout_for_results()
     try:
         app()
     except MibvhError as error:
@@ -707,6 +774,20 @@ def main() -> None:
             traceback.print_exception(error)
         sys.stderr.write(f"mibvh: {error}\n")
         raise SystemExit(2) from None
+    except OSError as error:
+        if os.environ.get("MIBVH_DEBUG"):
+            traceback.print_exception(error)
+        _say_refused(error)
+        raise SystemExit(2) from None
+
+
+def _say_refused(error: OSError) -> None:
+    """Say what the system refused: without a name, that is standard output."""
+    said = f"{error.filename}:" if error.filename else "standard output: cannot be written"
+    with contextlib.suppress(OSError):  # standard error may be full too
+        sys.stderr.write(f"mibvh: {said} ({error.strerror or error})\n")
+    with contextlib.suppress(OSError, ValueError):  # Python would try it again, and complain
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

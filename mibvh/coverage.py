@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mibvh._jit import njit
-from mibvh.tree import Tree
+from mibvh.nodes import Nodes
 from mibvh.triangles import Triangles
 
 #: A triangle cut along the axes has at most nine corners; the rest is for rounding.
@@ -22,7 +22,7 @@ _SLACK = 5e-7
 _LEFT_OVER = 1e-9
 
 
-def uncovered(tree: Tree, triangles: Triangles, times: np.ndarray) -> tuple[int, int]:
+def uncovered(tree: Nodes, triangles: Triangles, times: np.ndarray) -> tuple[int, int]:
     """Count the split triangles that are not covered by their leaves.
 
     Parameters

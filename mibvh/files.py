@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -29,10 +30,14 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     MibvhError
-        If the folder is missing or cannot be written.
+        If the folder is missing or cannot be written, the disk is full, or ``path`` is a folder,
+        a pipe or a device. What was there before stays as it was.
     """
     target = Path(path)
     try:
+        if target.exists() and not target.is_file():
+            # Moved into place, a file would take the place of a device such as /dev/null.
+            raise MibvhError(f"{path}: cannot be written (it is there, and is no file)")
         handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
     except OSError as error:
         raise MibvhError(f"{path}: cannot be written ({error.strerror})") from None
@@ -45,14 +50,55 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
         temporary.replace(target)
+    except OSError as error:  # the disk is full, or a file may not be that large
+        raise MibvhError(f"{path}: cannot be written ({error.strerror or error})") from error
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file atomically (UTF-8)."""
+    """Write a text file atomically (UTF-8; what cannot be said in it is escaped)."""
     with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
+
+
+def make_folder(path: str | os.PathLike[str]) -> Path:
+    """Make a folder, and those above it, if it is not there; return it.
+
+    Raises
+    ------
+    MibvhError
+        If it cannot be made.
+    """
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MibvhError(f"{path}: cannot be made a folder ({error.strerror})") from None
+    return Path(path)
+
+
+def file_name(name: str) -> str:
+    """Return the name of a file for what is called ``name``, whoever chose that.
+
+    Letters, digits and ``@ + - . _`` stay. A name that has others, begins with a dot or is long
+    gets a mark at its end, so that two names never share a file.
+
+    >>> file_name("cornell@3000"), file_name("../../etc/passwd")
+    ('cornell@3000', '_.._etc_passwd~3754d6cb')
+    """
+    safe = re.sub(r"[^\w@+.-]", "_", name).lstrip(".")
+    if safe and safe == name and len(name.encode()) <= 100:
+        return name
+    mark = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+    return f"{safe.encode()[:90].decode(errors='ignore')}~{mark}"
+
+
+def plain(text: str) -> str:
+    """Return text of a record or a file's name without what no file of text may hold.
+
+    Control characters and halves of characters become question marks.
+    """
+    return re.sub("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]", "?", text)
 
 
 def checksum(arrays: Mapping[str, npt.NDArray[Any]], meta: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Instances of a Mitsuba scene: the members of their groups, and where these stand."""
+"""Instances of a Mitsuba scene: the members of their groups, and their transforms."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 from mibvh.errors import MibvhError
 from mibvh.variant import mitsuba
 
-#: From an instance's description, which is all that tells.
+#: The group's name in an instance's description, the only place that has it.
 _GROUP = re.compile(r'shapegroup = ShapeGroup\[\s*name = "(.*)",')
 
 
 def member_name(group: str, place: int) -> str:
-    """Name of a group's member, the same whether a file or a scene in memory is read."""
+    """Name of a group's member: the same for a scene from a file and one in memory."""
     return f"__instanced_{group}_{place:06d}"
 
 
@@ -32,15 +32,15 @@ def members_named(scene: Any) -> Iterator[tuple[list[Any], dict[str, list[Any]]]
     Yields
     ------
     shapes : list of mitsuba.Shape
-        Those of the scene without its instances, and the groups' members.
+        The scene's shapes without its instances, and the groups' members.
     placed : dict of str to list of (4, 4) float64
-        For each name of a member, where its instances stand. The members bear these names for
-        as long as the block lasts.
+        Transforms of the instances of each member, by the member's name. The members have these
+        names inside the ``with`` block.
 
     Raises
     ------
     MibvhError
-        If an instance does not tell its group.
+        If the group of an instance cannot be found.
     """
     mi = mitsuba()
     shapes = [shape for shape in scene.shapes() if shape.class_name() != "Instance"]
@@ -51,7 +51,7 @@ def members_named(scene: Any) -> Iterator[tuple[list[Any], dict[str, list[Any]]]
     for instance in instances:
         told = _GROUP.search(str(instance))
         if told is None or told.group(1) not in groups:
-            raise MibvhError(f"instance {instance.id()!r} does not tell which group it repeats")
+            raise MibvhError(f"the shape group of instance {instance.id()!r} cannot be found")
         matrix = np.array(mi.traverse(instance)["to_world"].matrix, np.float64).reshape(4, 4)
         for place, member in enumerate(groups[told.group(1)]):
             name = member_name(told.group(1), place)
@@ -68,7 +68,7 @@ def members_named(scene: Any) -> Iterator[tuple[list[Any], dict[str, list[Any]]]
 
 
 def _groups(mi: Any, scene: Any) -> dict[str, list[Any]]:
-    """Shapes of each shape group, in their order, by the group's name."""
+    """Shapes of each shape group, in order, by the group's name."""
     found: dict[str, list[Any]] = {}
     for node, (parent, _) in mi.traverse(scene).hierarchy.items():
         if parent is not None and parent.class_name().startswith("ShapeGroup"):

@@ -1,4 +1,4 @@
-"""Morton codes: places in space as numbers that lie close where the places do."""
+"""Morton codes: positions in space as integers; close positions tend to have close codes."""
 
 from __future__ import annotations
 
@@ -66,12 +66,12 @@ def ray_codes(o: Any, d: Any, bounds: Any) -> U64:
     o, d : (R, 3) float32
         Origins, and directions of unit length.
     bounds : (2, 3) float32
-        The box that origins are counted in, lower corner first.
+        The box in which origins are quantised, lower corner first.
 
     Returns
     -------
     (R,) uint64
-        Of 45 bits.
+        45 bits each.
     """
     lower, upper = np.asarray(bounds, np.float64)
     cell = (o - lower) / np.maximum(upper - lower, 1e-30)

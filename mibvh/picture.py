@@ -64,8 +64,9 @@ def picture(scene: Scene, viewpoint: int = 0, width: int = 360, samples: int = 3
     integrator = whole.integrator() or mi.load_dict({"type": "path", "max_depth": 8})
     with _film_of(mi, sensor, size):
         image = mi.render(whole, sensor=sensor, integrator=integrator, spp=samples)
-    pixels = np.array(mi.Bitmap(image).convert(mi.Bitmap.PixelFormat.RGB,
-                                               mi.Struct.Type.Float32, False))  # fmt: skip
+    pixels = np.array(
+        mi.Bitmap(image).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
+    )
     middle = np.quantile(pixels[np.isfinite(pixels)], 0.9)
     if (pixels.max(axis=2) <= _DARK * middle).mean() > _MOSTLY:
         return _headlight(mi, scene, sensor, *size)
@@ -117,8 +118,9 @@ def _headlight(mi: Any, scene: Scene, sensor: Any, width: int, height: int) -> F
     index = dr.arange(mi.UInt32, width * height)
     shade = dr.zeros(mi.Float, width * height)
     for dx, dy in [(0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)]:
-        place = mi.Point2f((mi.Float(index % width) + dx) / width,
-                           (mi.Float(index // width) + dy) / height)  # fmt: skip
+        place = mi.Point2f(
+            (mi.Float(index % width) + dx) / width, (mi.Float(index // width) + dy) / height
+        )
         ray = camera_rays(sensor, place, mi.Point2f(0.5))
         hit = scene.geometry.ray_intersect(ray)
         lit = 0.15 + 0.85 * dr.abs(dr.dot(hit.n, ray.d))

@@ -1,7 +1,7 @@
-"""Makes Mitsuba know the plugins of ``plugins/``, in each variant that is set.
+"""Registers the plugins of ``plugins/`` with Mitsuba, in each variant that is set.
 
-Below scene loading: a scene that names a plugin needs no more than its name. The plugin's file is
-executed when Mitsuba first makes one.
+This is below scene loading, because a scene that names a plugin needs no more than the name. The
+plugin's file is executed when Mitsuba first creates an instance.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from typing import Any
 from mibvh.bundled import folder
 from mibvh.errors import MibvhError
 
-#: The files in ``plugins/``, and the classes of integrators in them.
+#: The files in ``plugins/``, and the integrator class in each.
 PLUGINS = {"bvh_cost": "BvhCost", "bvh_path": "BvhPath", "bvh_rays": "BvhRays"}
 _done: set[str] = set()
 
 
 def register() -> None:
-    """Make the plugins known to Mitsuba.
+    """Register the plugins with Mitsuba.
 
-    A Mitsuba plugin belongs to one variant. The plugins are registered for the variant that is
-    set now, if any, and for every other one as soon as it is set. Called by
+    A Mitsuba plugin belongs to one variant. The plugins are registered for the current variant,
+    if any, and for every other one as soon as it is set. Called by
     ``import mibvh.mitsuba``; calling it again does nothing.
     """
     import mitsuba as mi

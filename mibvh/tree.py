@@ -13,12 +13,11 @@ import numpy.typing as npt
 
 from mibvh.errors import MibvhError
 from mibvh.files import checksum, read_arrays, write_arrays
+from mibvh.nodes import MAX_DEPTH
 from mibvh.triangles import F32, F64, I32, Triangles
 
-#: Inner nodes on a path; the traversal stack holds as many entries.
-MAX_DEPTH = 64
-#: Deeper trees are refused altogether: exact EPO takes memory by the square of the depth.
-DEEPEST = 1024
+__all__ = ["MAX_DEPTH", "Tree"]
+
 _ARRAYS = ("lower", "upper", "left", "first", "count", "references")
 
 
@@ -254,11 +253,13 @@ class Tree:
         >>> mibvh.Tree.from_arrays(*boxes, left=[1, -1, -2], right=[2, 0, 0])
         Tree('imported', 2 triangles, 3 nodes, depth 1)
         """
-        from mibvh.layouts.arrays import from_arrays
+        from mibvh.layouts.arrays import renumbered
 
-        return from_arrays(
-            lower, upper, left, right, first, count, references, root=root, name=name
+        tree = cls(
+            *renumbered(lower, upper, left, right, first, count, references, root=root, name=name)
         )
+        tree.check()
+        return tree
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays for another program: what :meth:`from_arrays` takes, by name.
@@ -271,6 +272,7 @@ class Tree:
         """
         from mibvh.layouts.arrays import to_arrays
 
+        self.check()
         return to_arrays(self)
 
     # ------------------------------------------------------------ files

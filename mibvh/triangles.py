@@ -102,15 +102,15 @@ class Triangles:
         return hashlib.sha256(self.corners.tobytes()).hexdigest()
 
     def rotated(self, rotation: F64) -> Triangles:
-        """Turn about the origin.
+        """Rotate about the origin.
 
         Parameters
         ----------
         rotation : (3, 3) float64
             A rotation matrix, e.g. from :func:`rotation_about`.
         """
-        turned = self.corners.reshape(-1, 3).astype(np.float64) @ rotation.T
-        return Triangles(turned.reshape(-1, 3, 3).astype(np.float32), f"{self.name} (rotated)")
+        rotated = self.corners.reshape(-1, 3).astype(np.float64) @ rotation.T
+        return Triangles(rotated.reshape(-1, 3, 3).astype(np.float32), f"{self.name} (rotated)")
 
 
 def rotation_about(axis: tuple[float, float, float], degrees: float) -> F64:

@@ -13,7 +13,7 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.coverage import uncovered
-from mibvh.tree import DEEPEST, MAX_DEPTH, Tree
+from mibvh.nodes import DEEPEST, MAX_DEPTH, Nodes
 from mibvh.triangles import MAX_COORDINATE, Triangles
 
 #: Leaves up to this size are searched for repeated triangles pair by pair; larger ones are sorted.
@@ -155,7 +155,7 @@ def _leaf_boxes(lower, upper, left, first, count, references, corners, times):
     return out, first_out
 
 
-def faults(tree: Tree, triangles: Triangles | None = None) -> list[str]:
+def faults(tree: Nodes, triangles: Triangles | None = None) -> list[str]:
     """Check a tree; see :meth:`mibvh.tree.Tree.validate`."""
     found = meta_faults(tree.meta) or structure_faults(tree)
     if found:
@@ -167,33 +167,46 @@ def faults(tree: Tree, triangles: Triangles | None = None) -> list[str]:
     return found
 
 
-def structure_faults(tree: Tree) -> list[str]:
+def structure_faults(tree: Nodes) -> list[str]:
     """Check what can be checked without the triangles."""
     found = _array_faults(tree)
     if found:
         return found
     fault, n = _structure(tree.left, tree.first, tree.count, tree.references)
     if fault:
-        return [_STRUCTURE[fault].format(
-            node=n, left=tree.left[n], first=tree.first[n], count=tree.count[n], nodes=len(tree),
-            references=len(tree.references), deepest=DEEPEST,
-        )]  # fmt: skip
+        return [
+            _STRUCTURE[fault].format(
+                node=n,
+                left=tree.left[n],
+                first=tree.first[n],
+                count=tree.count[n],
+                nodes=len(tree),
+                references=len(tree.references),
+                deepest=DEEPEST,
+            )
+        ]
     known = tree.meta.get("triangles")
     if known is None and tree.references.min() < 0:
         return ["a reference is negative"]
     return (_reference_faults(tree, known) if known is not None else []) + _box_faults(tree)
 
 
-def geometry_faults(tree: Tree, triangles: Triangles) -> list[str]:
+def geometry_faults(tree: Nodes, triangles: Triangles) -> list[str]:
     """Check a tree of sound structure against its triangles."""
     found = _reference_faults(tree, len(triangles))
     if found:
         return found
     times = np.bincount(tree.references, minlength=len(triangles)).astype(np.int32)
     out, n = _leaf_boxes(
-        tree.lower, tree.upper, tree.left, tree.first, tree.count, tree.references,
-        triangles.corners, times,
-    )  # fmt: skip
+        tree.lower,
+        tree.upper,
+        tree.left,
+        tree.first,
+        tree.count,
+        tree.references,
+        triangles.corners,
+        times,
+    )
     if out:
         found.append(f"{out} references stick out of their leaves (first: in node {n})")
     missed, t = uncovered(tree, triangles, times)
@@ -213,7 +226,7 @@ def meta_faults(meta: Any) -> list[str]:
         return [f"its metadata says that it has {str(count)[:40]!r} triangles"]
     if digest is not None and not isinstance(digest, str):
         return ["its metadata has a digest that is no text"]
-    for name in ("c_inner", "c_tri"):
+    for name in ("c_inner", "c_tri", "c_box"):
         cost = meta.get(name, 1.0)
         number = isinstance(cost, int | float) and not isinstance(cost, bool)
         if not (number and 0 <= cost <= _DEAREST):
@@ -221,7 +234,7 @@ def meta_faults(meta: Any) -> list[str]:
     return []
 
 
-def _array_faults(tree: Tree) -> list[str]:
+def _array_faults(tree: Nodes) -> list[str]:
     nodes = tree.left.shape[0] if tree.left.ndim else 0
     references = tree.references.shape[0] if tree.references.ndim else 0
     if nodes == 0 or references == 0:
@@ -241,7 +254,7 @@ def _array_faults(tree: Tree) -> list[str]:
     return found
 
 
-def _reference_faults(tree: Tree, triangles: int) -> list[str]:
+def _reference_faults(tree: Nodes, triangles: int) -> list[str]:
     if triangles > len(tree.references):  # before memory is taken for that many
         return [
             f"of {triangles} triangles at least {triangles - len(tree.references)} are in no leaf"
@@ -254,7 +267,7 @@ def _reference_faults(tree: Tree, triangles: int) -> list[str]:
     return [f"{missing} of {triangles} triangles are in no leaf"] if missing else []
 
 
-def _box_faults(tree: Tree) -> list[str]:
+def _box_faults(tree: Nodes) -> list[str]:
     wrong, n, out, child = _boxes(tree.lower, tree.upper, tree.left, MAX_COORDINATE)
     found = []
     if wrong:

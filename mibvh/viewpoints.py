@@ -1,4 +1,4 @@
-"""Viewpoints: the rays of cameras, and cameras for scenes that bring none."""
+"""Viewpoints: the rays of cameras, and cameras for scenes without any."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FIELD_OF_VIEW = 65.0
 
 
 def camera_rays(sensor: Any, place: Any, aperture: Any) -> Any:
-    """Rays of a sensor through places of its film.
+    """Rays of a sensor through positions on its film.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def camera_rays(sensor: Any, place: Any, aperture: Any) -> Any:
     Raises
     ------
     MibvhError
-        If it is a sensor that makes no rays.
+        If the sensor makes no rays.
     """
     mi = mitsuba()
     where = mi.Float(0), mi.Float(0.5), place, aperture
@@ -54,8 +54,7 @@ def camera_rays(sensor: Any, place: Any, aperture: Any) -> Any:
 def automatic_viewpoints(triangles: Triangles, geometry: Any) -> list[Any]:
     """Choose viewpoints: in open space for interiors, on an orbit around objects.
 
-    A scene counts as an interior where most points of its box see geometry in nearly every
-    direction.
+    A scene is an interior if most points of its box see geometry in nearly every direction.
 
     Parameters
     ----------
@@ -71,15 +70,16 @@ def automatic_viewpoints(triangles: Triangles, geometry: Any) -> list[Any]:
     enclosed = np.isfinite(distance).mean(axis=1) > 0.95
     if enclosed.mean() > 0.6:
         places = _open_places(points[enclosed], distance[enclosed])
-        views = [_longest_view(points[enclosed][i], directions, distance[enclosed][i])
-                 for i in places]  # fmt: skip
+        views = [
+            _longest_view(points[enclosed][i], directions, distance[enclosed][i]) for i in places
+        ]
     else:
         views = _orbit(triangles)
     return [_camera(origin, target, triangles.diagonal) for origin, target in views]
 
 
 def _probe(triangles: Triangles, geometry: Any) -> tuple[F64, F64, F64]:
-    """Distances from random points of the scene's box in evenly spread directions."""
+    """Distances to geometry from random points of the scene's box, in uniform directions."""
     mi = mitsuba()
     rng = np.random.default_rng(0)
     lower, upper = triangles.bounds.astype(np.float64)
@@ -107,7 +107,7 @@ def _open_places(points: F64, distance: F64) -> list[int]:
 
 
 def _longest_view(point: F64, directions: F64, distance: F64) -> tuple[F64, F64]:
-    """Look near-horizontally to where the cone of view is deepest."""
+    """Look nearly horizontally to where the cone of view is deepest."""
     depth = np.where(np.isfinite(distance), distance, 0.0)
     inside = (directions @ directions.T) > np.cos(np.radians(35))
     score = (inside @ depth) / inside.sum(axis=1)
@@ -131,12 +131,14 @@ def _camera(origin: F64, target: F64, diagonal: float) -> Any:
     transform = mi.ScalarTransform4f().look_at(
         origin=origin.tolist(), target=target.tolist(), up=[0, 1, 0]
     )
-    return mi.load_dict({
-        "type": "perspective",
-        "fov": _FIELD_OF_VIEW,
-        "fov_axis": "x",
-        "near_clip": max(1e-5 * diagonal, 1e-30),
-        "far_clip": 100 * max(diagonal, 1e-25),
-        "to_world": transform,
-        "film": {"type": "hdrfilm", "width": 480, "height": 320},
-    })  # fmt: skip
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov": _FIELD_OF_VIEW,
+            "fov_axis": "x",
+            "near_clip": max(1e-5 * diagonal, 1e-30),
+            "far_clip": 100 * max(diagonal, 1e-25),
+            "to_world": transform,
+            "film": {"type": "hdrfilm", "width": 480, "height": 320},
+        }
+    )

@@ -14,30 +14,30 @@ from mibvh.variant import mitsuba
 
 
 class BvhCost(mi.SamplingIntegrator):
-    r"""Heat maps of what the rays of the camera cost in a tree, or in two.
+    r"""Heat maps of what camera rays cost in one tree, or in two.
 
     .. pluginparameters::
 
      * - builder
        - |string|
-       - Who builds the tree: a name from ``mibvh builders``. (Default: ``sbvh``)
+       - Builder of the tree: a name from ``mibvh builders``. (Default: ``sbvh``)
      * - compare
        - |string|
-       - Who builds a second tree, to compare with. (Default: none)
+       - Builder of a second tree to compare with. (Default: none)
      * - cull
        - |bool|
-       - Re-test popped nodes against the current hit; not so in the paper. (Default: false)
+       - Re-test popped nodes against the current hit. The paper does not. (Default: false)
      * - max_leaf, c_inner, ...
        - |int| or |float|
-       - Any option of the builder; with ``compare_`` before it, of the second one.
+       - Any option of the builder; with the prefix ``compare_``, of the second builder.
 
-    The film's channels, means over a pixel's samples: the colour is the total cost as it is;
-    ``NAME.inner``, ``NAME.leaves``, ``NAME.triangles`` are nodes and leaves visited and triangles
-    tested; ``NAME.cost`` is their total by the cost constants; ``NAME.leaf_depth`` the depth of
-    the leaf that is hit, ``NAME.overlap`` the cost of the nodes that hold the hit point without
-    holding the triangle that is hit (end-point overlap there), both 0 for rays that hit nothing;
-    ``hit`` the share of rays that hit anything. NAME is that of the builder; with a second one
-    its channels follow, and those of ``difference``, second less first.
+    The film's channels are means over a pixel's samples. The colour is the total cost.
+    ``NAME.inner``, ``NAME.leaves`` and ``NAME.triangles`` are inner nodes visited, leaves visited
+    and triangles tested; ``NAME.cost`` is their total by the cost constants. ``NAME.leaf_depth`` is
+    the depth of the leaf that is hit, ``NAME.overlap`` the cost of the nodes that contain the hit
+    point but not the triangle that is hit (end-point overlap); both are 0 for rays that miss.
+    ``hit`` is the share of rays that hit anything. NAME is the builder's. With a second builder its
+    channels follow, and those of ``difference``: second minus first.
 
     Shapes other than meshes are tessellated or left out, and named in warnings.
 
@@ -68,7 +68,7 @@ class BvhCost(mi.SamplingIntegrator):
 
     @property
     def layers(self) -> list[str]:
-        """What channels begin with: the builders' names, and ``difference`` if there are two."""
+        """Prefixes of the channels: the builders' names, and ``difference`` if there are two."""
         names = [builder.name for builder in self.builders]
         if len(names) == 1:
             return names
@@ -79,7 +79,7 @@ class BvhCost(mi.SamplingIntegrator):
         return [f"{layer}.{key}" for layer in self.layers for key in QUANTITIES] + ["hit"]
 
     def prepare(self, scene, sensor=None, progress=None) -> list[CostProbe]:
-        """Build the scene's trees, unless they were among the last few built."""
+        """Build the scene's trees, unless they are cached."""
         loaded = load(scene)
         for note in loaded.notes:
             warnings.warn(note, stacklevel=2)
@@ -97,5 +97,5 @@ class BvhCost(mi.SamplingIntegrator):
         return mi.Spectrum(mi.Float(told[0]["cost"].astype(np.float32))), hit > 0, [*channels, hit]
 
     def to_string(self) -> str:
-        """Describe the integrator as Mitsuba's own do."""
+        """Describe the integrator, as Mitsuba's own do."""
         return f"BvhCost[builders = {[builder.name for builder in self.builders]}]"

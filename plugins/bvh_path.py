@@ -14,13 +14,13 @@ from mibvh.variant import mitsuba
 
 
 class BvhPath(mi.SamplingIntegrator):
-    r"""Path tracer whose every ray goes through a tree of mibvh's.
+    r"""Path tracer that traces every ray through a tree.
 
     .. pluginparameters::
 
      * - builder
        - |string|
-       - Who builds the tree: a name from ``mibvh builders``. (Default: ``sbvh``)
+       - Builder of the tree: a name from ``mibvh builders``. (Default: ``sbvh``)
      * - max_depth
        - |int|
        - Longest path; -1 for no limit. 1 shows emitters alone, 2 direct light. (Default: -1)
@@ -71,7 +71,7 @@ class BvhPath(mi.SamplingIntegrator):
         refuse_unknown(props, "bvh_path")
 
     def prepare(self, scene, sensor=None, progress=None) -> Accelerator:
-        """Build the scene's tree, unless it was among the last few built."""
+        """Build the scene's tree, unless it is cached."""
         for shape in scene.shapes():
             if shape.is_medium_transition():
                 warnings.warn(
@@ -160,7 +160,7 @@ class BvhPath(mi.SamplingIntegrator):
 
     @dr.syntax
     def _behind_emitters(self, tree, ray, pi, active):
-        """What camera rays see if they pass through the emitters that they hit."""
+        """First hits of camera rays that pass through emitters."""
         passing = active & pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711 - lanes
         onward = mi.Ray3f(ray)
         while dr.hint(passing, label="behind emitters"):
@@ -171,7 +171,7 @@ class BvhPath(mi.SamplingIntegrator):
         return pi
 
     def to_string(self) -> str:
-        """Describe the integrator as Mitsuba's own do."""
+        """Describe the integrator, as Mitsuba's own do."""
         return (
             f"BvhPath[\n  builder = {self.builder.name},\n  options = "
             f"{dict(self.builder.options)},\n  max_depth = {self.max_depth},\n"

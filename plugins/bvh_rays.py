@@ -16,28 +16,28 @@ from mibvh.variant import mitsuba
 
 
 class BvhRays(mi.SamplingIntegrator):
-    r"""Traces diffuse rays into a ray set, and shows which surfaces they end on.
+    r"""Traces diffuse rays into a ray set, and shows on which surfaces they end.
 
     .. pluginparameters::
 
      * - viewpoints
        - |int|
-       - How many of the scene's cameras the rays start from; 0 for all. (Default: 0)
+       - Number of the scene's cameras to start rays from; 0 for all. (Default: 0)
      * - width, height
        - |int|
-       - Pixels per viewpoint, of the rays, not of the image. (Default: 320, 240)
+       - Pixels per viewpoint for the rays, not for the image. (Default: 320, 240)
      * - samples
        - |int|
        - Paths per pixel. (Default: 4)
      * - bounces
        - |int|
-       - Diffuse rays per path, at most. (Default: 1)
+       - Largest number of diffuse rays per path. (Default: 1)
      * - seed
        - |int|
-       - Of the rays. (Default: 0)
+       - Seed of the rays. (Default: 0)
      * - filename
        - |string|
-       - Where to save the rays, for ``mibvh trace`` and ``mibvh.RaySet.load``. (Default: nowhere)
+       - File for the rays, for ``mibvh trace`` and ``mibvh.RaySet.load``. (Default: none)
 
     The rays are those of :func:`mibvh.diffuse_rays`, and stay in the integrator's attribute
     ``rays`` with the viewpoint and bounce of each. The film's channels: the colour shows how
@@ -83,7 +83,7 @@ class BvhRays(mi.SamplingIntegrator):
 
     @property
     def layers(self) -> list[str]:
-        """What channels begin with: ``all``, if there are several bounces, and each bounce."""
+        """Prefixes of the channels: each bounce, and ``all`` first if there are several."""
         bounces = [f"bounce{i + 1}" for i in range(self.how["bounces"])]
         return bounces if len(bounces) == 1 else ["all", *bounces]
 
@@ -92,7 +92,7 @@ class BvhRays(mi.SamplingIntegrator):
         return [f"{layer}.density" for layer in self.layers] + ["shade", "hit"]
 
     def prepare(self, scene, sensor=None, progress=None) -> Coverage:
-        """Trace the diffuse rays, unless this scene's are there already."""
+        """Trace the diffuse rays, unless those of this scene exist already."""
         loaded = load(scene)
         for note in loaded.notes:
             warnings.warn(note, stacklevel=2)
@@ -121,5 +121,5 @@ class BvhRays(mi.SamplingIntegrator):
         return colour, mi.Bool(hit), channels
 
     def to_string(self) -> str:
-        """Describe the integrator as Mitsuba's own do."""
+        """Describe the integrator, as Mitsuba's own do."""
         return f"BvhRays[{', '.join(f'{k} = {v}' for k, v in self.how.items())}]"

@@ -11,6 +11,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -130,9 +132,8 @@ def write(name: str, folder: Path, triangles: int | None = None, seed: int | Non
     for part, (v, f) in parts.items():
         _write_ply(meshes / f"{part}.ply", v, f)
     xml = folder / "scene.xml"
-    temporary = folder / "scene.xml.tmp"
-    shutil.copyfile(Path(__file__).parent / f"{name}.xml", temporary)
-    os.replace(temporary, xml)
+    with _whole(xml) as temporary:
+        shutil.copyfile(Path(__file__).parent / f"{name}.xml", temporary)
     info = {
         "name": name,
         "triangles": int(sum(len(f) for _, f in parts.values())),
@@ -140,10 +141,20 @@ def write(name: str, folder: Path, triangles: int | None = None, seed: int | Non
         "seed": 0 if seed is None else seed,
         "generator_version": GENERATOR_VERSION,
     }
-    temporary = folder / "scene.json.tmp"
-    temporary.write_text(json.dumps(info, indent=2) + "\n", encoding="utf-8")
-    os.replace(temporary, record)
+    with _whole(record) as temporary:
+        temporary.write_text(json.dumps(info, indent=2) + "\n", encoding="utf-8")
     return xml
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[Path]:
+    """Yield a temporary path that is moved to ``path``, or removed if the block fails."""
+    temporary = path.with_name(path.name + ".tmp")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def _write_ply(path: Path, v: NDArray[np.float32], f: NDArray[np.int32]) -> None:
@@ -155,9 +166,7 @@ def _write_ply(path: Path, v: NDArray[np.float32], f: NDArray[np.int32]) -> None
     faces = np.empty(len(f), dtype=[("n", "u1"), ("i", "<i4", 3)])
     faces["n"] = 3
     faces["i"] = f
-    temporary = path.with_name(path.name + ".tmp")
-    with temporary.open("wb") as out:
+    with _whole(path) as temporary, temporary.open("wb") as out:
         out.write(header.encode("ascii"))
         out.write(v.astype("<f4").tobytes())
         out.write(faces.tobytes())
-    os.replace(temporary, path)

@@ -19,8 +19,24 @@ def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ["MIBVH_CACHE"] = str(tmp_path_factory.mktemp("cache"))
 
 
+#: Files of slow tests, and what else makes a test slow: whole studies. All others are fast.
+SLOW_FILES = {
+    "test_cli", "test_cluster", "test_cluster_faults", "test_embree", "test_experiments",
+    "test_faults", "test_fuzz_meshes", "test_fuzz", "test_hostile_study", "test_notebooks",
+    "test_parallel", "test_plugins", "test_report_browser", "test_scenes_bundled", "test_study",
+    "test_study_killed", "test_traversal_styles", "test_traversal_warp",
+}  # fmt: skip
+SLOW_FIXTURES = {"small_study"}
+
+
+@pytest.hookimpl(tryfirst=True)  # before those that are not asked for are left out
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave tests marked ``cuda`` out where there is no device to run them on."""
+    """Mark tests as fast or slow; leave ``cuda`` out where there is no device to run them on."""
+    for item in items:
+        slow = item.path.stem in SLOW_FILES or SLOW_FIXTURES & set(
+            getattr(item, "fixturenames", ())
+        )
+        item.add_marker("slow" if slow else "fast")
     marked = [item for item in items if item.get_closest_marker("cuda")]
     if not marked:
         return

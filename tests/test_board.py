@@ -89,3 +89,21 @@ def test_bars_on_a_terminal(monkeypatch, clock):
 def test_a_step_in_words():
     assert str(STEPS[0]) == "rays"
     assert str(STEPS[2]) == "build bbvh (rotation)"
+
+
+def test_a_piped_study_gives_signs_of_life(capsys, clock):
+    """Before the first scene, within a step that takes long, and while the report is written."""
+    with Board(1, lines=False) as shown:
+        shown._sign_of_life()
+        shown(STEPS[0])
+        clock[0] += 30
+        shown(STEPS[1])
+        shown._sign_of_life()
+        shown(STEPS[3])
+        shown._sign_of_life()
+    assert capsys.readouterr().err.splitlines() == [
+        "study: load (0%)",
+        "one: build bbvh (25%, 1:30 left)",
+        "one: done (1 of 1)",
+        "study: report (0%)",
+    ]

@@ -226,11 +226,23 @@ def test_scenes_make_and_show(cli, tmp_path):
 
 
 def test_a_new_stage_has_time_left():
-    bar = _progress()
-    task = bar.add_task("build", total=1.0)
-    show = _show(bar, task)
-    show("sort", 1.0)
-    assert bar.tasks[task].finished
-    show("split", 0.25)
-    assert not bar.tasks[task].finished
-    assert (bar.tasks[task].description, bar.tasks[task].completed) == ("split", 0.25)
+    with _progress() as bar:
+        task = bar.add_task("build", total=1.0)
+        show = _show(bar, task)
+        show("sort", 1.0)
+        assert bar.tasks[task].finished
+        show("split", 0.25)
+        assert not bar.tasks[task].finished
+        assert (bar.tasks[task].description, bar.tasks[task].completed) == ("split", 0.25)
+
+
+def test_json_is_alone_on_standard_output(tmp_path):
+    """Mitsuba warns of a sphere under an uneven transform, by itself on standard output."""
+    (tmp_path / "oval.xml").write_text(
+        '<scene version="3.0.0"><shape type="sphere"><transform name="to_world">'
+        '<scale x="1" y="2" z="1"/></transform></shape></scene>'
+    )
+    run = [sys.executable, "-m", "mibvh", "build", "oval.xml", "-o", "tree.npz", "--json"]
+    found = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert json.loads(found.stdout)["builder"] == "bbvh"
+    assert "non-uniform scaling" in found.stderr

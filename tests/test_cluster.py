@@ -15,8 +15,13 @@ pytest.importorskip("distributed", reason="Dask is not installed: pip install 'm
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
 
 SCENES = ["cornell@3000", "hairball@3000"]
-CHOICES = {"builders": ("bbvh", "lbvh"), "width": 24, "height": 16, "scalar_rays": 256,
-           "seconds": 0.0}  # fmt: skip
+CHOICES = {
+    "builders": ("bbvh", "lbvh"),
+    "width": 24,
+    "height": 16,
+    "scalar_rays": 256,
+    "seconds": 0.0,
+}
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +32,14 @@ def cluster():
     quiet = {"distributed.admin.log-format": "%(message)s", "logging.distributed": "critical"}
     with (
         dask.config.set(quiet),
-        LocalCluster(n_workers=2, threads_per_worker=1, resources={"mibvh": 1},
-                     dashboard_address=None, silence_logs=50) as found,
-    ):  # fmt: skip
+        LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            resources={"mibvh": 1},
+            dashboard_address=None,
+            silence_logs=50,
+        ) as found,
+    ):
         yield found
 
 
@@ -61,15 +71,19 @@ def test_a_killed_worker_loses_its_scene_only(cluster, tmp_path):
     killer.start()
     try:
         there = mibvh.study(
-            SCENES, tmp_path / "there", scheduler=cluster.scheduler_address, progress=watch,
+            SCENES,
+            tmp_path / "there",
+            scheduler=cluster.scheduler_address,
+            progress=watch,
             **CHOICES,
-        )  # fmt: skip
+        )
     finally:
         finished.set()
         killer.join()
     assert len(killed) == 1
-    begun = {name: sum(s == name and d == 0.0 and t == "rays" for s, t, d in seen)
-             for name in SCENES}  # fmt: skip
+    begun = {
+        name: sum(s == name and d == 0.0 and t == "rays" for s, t, d in seen) for name in SCENES
+    }
     assert begun == {name: 2 if name == killed[0] else 1 for name in SCENES}
 
     here = mibvh.study(SCENES, tmp_path / "here", **CHOICES)

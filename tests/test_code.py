@@ -23,9 +23,13 @@ def copy(tmp_path):
 def digest(package: Path, module: str) -> str:
     code = f"from mibvh.code import code_digest; print(code_digest({module!r}))"
     run = subprocess.run(
-        [sys.executable, "-c", code], cwd=package.parent, capture_output=True, text=True,
-        env={"PYTHONPATH": str(package.parent), "PATH": ""}, check=True,
-    )  # fmt: skip
+        [sys.executable, "-c", code],
+        cwd=package.parent,
+        capture_output=True,
+        text=True,
+        env={"PYTHONPATH": str(package.parent), "PATH": ""},
+        check=True,
+    )
     return run.stdout
 
 

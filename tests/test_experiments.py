@@ -34,8 +34,13 @@ from mibvh.studies.record.claim import FEWEST_SCENES
 from mibvh.studies.report.tables import answers
 from mibvh.studies.report.tidy import tidy_table
 
-CHOICES = {"width": 24, "height": 16, "scalar_rays": 256, "seconds": 0.0,
-           "builders": ("bbvh", "sbvh", "lbvh")}  # fmt: skip
+CHOICES = {
+    "width": 24,
+    "height": 16,
+    "scalar_rays": 256,
+    "seconds": 0.0,
+    "builders": ("bbvh", "sbvh", "lbvh"),
+}
 ALL = ("prediction", "depth", "rotation", "sensitivity")
 
 
@@ -46,8 +51,9 @@ def full(tmp_path_factory, cornell):
     less = mibvh.study([cornell], folder, experiments=("prediction",), **CHOICES)
     times = {p: p.stat().st_mtime_ns for p in (folder / "cache").glob("[!s]*")}
     done = []
-    more = mibvh.study([cornell], folder, experiments=ALL,
-                       progress=lambda step: done.append(step.done), **CHOICES)  # fmt: skip
+    more = mibvh.study(
+        [cornell], folder, experiments=ALL, progress=lambda step: done.append(step.done), **CHOICES
+    )
     return less, times, more, done
 
 
@@ -76,11 +82,18 @@ def test_again_recomputes_nothing(full, cornell, monkeypatch):
     def fail(*_, **__):
         pytest.fail("something was made again")
 
-    for name in ("measure.trees.build", "measure.times.measure", "measure.counts.Tracer",
-                 "measure.times.Tracer", "measure.scene.diffuse_rays",
-                 "measure.rotation.run_stopwatch", "measure.rotation.make_records",
-                 "measure.sensitivity.finish", "measure.sensitivity.diffuse_rays",
-                 "measure.sensitivity.counted_costs"):  # fmt: skip
+    for name in (
+        "measure.trees.build",
+        "measure.times.measure",
+        "measure.counts.Tracer",
+        "measure.times.Tracer",
+        "measure.scene.diffuse_rays",
+        "measure.rotation.run_stopwatch",
+        "measure.rotation.make_records",
+        "measure.sensitivity.finish",
+        "measure.sensitivity.diffuse_rays",
+        "measure.sensitivity.counted_costs",
+    ):
         monkeypatch.setattr(f"mibvh.studies.{name}", fail)
     monkeypatch.setattr("mibvh.metrics.registry.overlap", fail)
     again = mibvh.study([cornell], full[2].folder, experiments=ALL, **CHOICES)
@@ -114,8 +127,12 @@ def test_factors_are_one_where_turning_changes_nothing(monkeypatch, tmp_path):
     """A third of a turn about (1, 1, 1) exchanges the axes: every tree is as it was."""
     monkeypatch.setattr(rotation, "DEGREES", 120.0)
     scene = mibvh.load(soup(300))
-    found = mibvh.study([scene], tmp_path, experiments=("rotation",),
-                        **{**CHOICES, "builders": ("bbvh", "agglo", "hill")})  # fmt: skip
+    found = mibvh.study(
+        [scene],
+        tmp_path,
+        experiments=("rotation",),
+        **{**CHOICES, "builders": ("bbvh", "agglo", "hill")},
+    )
     assert found.scenes[0].result(RotationResult).same_hits > 0.999
     for name in ("sah", "epo", "counted_cost", "finite_rays"):
         np.testing.assert_allclose(found.rotation[name], 1, rtol=2e-3, err_msg=name)
@@ -269,8 +286,18 @@ def test_tidy_rows_say_what_they_are_of(full):
         assert found.tolist() == values
     left = table.query("experiment == 'splits' and builder == 'bbvh'").set_index("splits")["value"]
     assert left[7] == cuts[0].remaining_after_splits[3]
-    key = ["scene", "builder", "experiment", "rotation", "max_leaf", "bounce", "viewpoint",
-           "cut_depth", "splits", "measurement"]  # fmt: skip
+    key = [
+        "scene",
+        "builder",
+        "experiment",
+        "rotation",
+        "max_leaf",
+        "bounce",
+        "viewpoint",
+        "cut_depth",
+        "splits",
+        "measurement",
+    ]
     assert not table.duplicated(key).any()
     assert table["study_options"].str.contains('"seed": 0').all()
 
@@ -303,8 +330,9 @@ def test_a_folder_of_scenes(tmp_path):
     import trimesh
 
     corners = soup(60).corners
-    trimesh.Trimesh(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3),
-                    process=False).export(tmp_path / "sibenik.ply")  # fmt: skip
+    trimesh.Trimesh(
+        corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3), process=False
+    ).export(tmp_path / "sibenik.ply")
     (tmp_path / "blade").mkdir()
     (tmp_path / "blade" / "scene.xml").write_text('<scene version="3.0.0"/>')
     (tmp_path / "empty").mkdir()
@@ -327,9 +355,18 @@ def test_a_folder_of_scenes(tmp_path):
 
 def test_every_experiment_has_its_tables(full):
     names = [sheet.name for sheet in answers(full[2].scenes, full[2].correlations)]
-    for name in ("claims", "sah-over-best", "worst-case", "where", "rotation-scenes",
-                 "rotation-builders", "sensitivity", "sensitivity-leaf-size",
-                 "sensitivity-bounce", "sensitivity-viewpoints"):  # fmt: skip
+    for name in (
+        "claims",
+        "sah-over-best",
+        "worst-case",
+        "where",
+        "rotation-scenes",
+        "rotation-builders",
+        "sensitivity",
+        "sensitivity-leaf-size",
+        "sensitivity-bounce",
+        "sensitivity-viewpoints",
+    ):
         assert name in names
         assert (full[2].folder / "tables" / f"{name}.csv").stat().st_size > 0
         assert (full[2].folder / "tables" / f"{name}.tex").read_text().isascii()

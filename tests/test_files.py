@@ -157,7 +157,7 @@ def test_hits_round_trip_and_are_checked(tmp_path, cornell):
     np.testing.assert_array_equal(again.t, hits.t)
     with pytest.raises(mibvh.MibvhError, match="not a tree file"):
         mibvh.Tree.load(path)
-    columns = ("t", "triangle", "inner", "leaves", "tests", "steps", "seconds")
+    columns = ("t", "triangle", "inner", "leaves", "tests", "steps", "boxes", "seconds")
     good = {name: getattr(hits, name) for name in columns}
     meta = {"lanes": "simd", "lane_width": 8, "issued": 8, "style": "single"}
     for change, said in [
@@ -183,9 +183,14 @@ def test_hits_round_trip_and_are_checked(tmp_path, cornell):
 def run_fuzz(code, **environment):
     """Run the fuzzer with other parts; return its exit code and what it says."""
     ran = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=600,
-        env={**os.environ, "PYTHONPATH": str(ROOT), **environment}, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+        check=False,
+    )
     return ran.returncode, ran.stdout
 
 
@@ -193,8 +198,9 @@ def test_mutated_files_are_refused_or_right():
     code, said = run_fuzz(
         "import sys; from tools.fuzz import __main__ as f; sys.argv = ['fuzz', 'files'];"
         "raise SystemExit(f.main())",
-        FUZZ_CASES="300", FUZZ_SEED="7",
-    )  # fmt: skip
+        FUZZ_CASES="300",
+        FUZZ_SEED="7",
+    )
     assert code == 0, said
     assert "files: 300 cases from 7" in said
     for outcome in ("tree refused", "tree accepted", "hits refused"):
@@ -218,7 +224,7 @@ def test_the_watchdog_sees_crashes_hangs_and_exceptions(tmp_path):
         "import sys; from tools.fuzz import __main__ as f; f.FIRST_PATIENCE = f.PATIENCE = 6;"
         "counts, faults = f.fuzz('bad_part:Bench', 0, 600, 7); print(counts, faults)",
         PYTHONPATH=f"{ROOT}{os.pathsep}{tmp_path}",
-    )  # fmt: skip
+    )
     assert code == 0
     assert "{'fine': 4}" in said
     assert "seed 1: exit code -6" in said

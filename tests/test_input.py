@@ -161,8 +161,18 @@ def test_parameters_in_a_study(cli, tmp_path):
     """Two scenes of one file in one folder: neither takes the other's results."""
     path = tmp_path / "s.xml"
     path.write_text(SIZED.replace("</scene>", '<emitter type="constant"/></scene>'))
-    common = ("study", "-o", tmp_path / "out", "--builders", "lbvh", "--experiments", "prediction",
-              "--seconds", 0, "--json")  # fmt: skip
+    common = (
+        "study",
+        "-o",
+        tmp_path / "out",
+        "--builders",
+        "lbvh",
+        "--experiments",
+        "prediction",
+        "--seconds",
+        0,
+        "--json",
+    )
     code, out, _ = cli(*common, f"{path}[n=2]", path)
     assert code == 0
     assert [row["scene"] for row in json.loads(out.splitlines()[-1])["trees"]] == ["s[n=2]", "s"]

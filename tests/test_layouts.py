@@ -24,10 +24,13 @@ def equal(a, b):
 def leaves(tree):
     """The leaves of a tree in any order: boxes and references."""
     return sorted(
-        (tree.lower[n].tolist(), tree.upper[n].tolist(),
-         tree.references[tree.first[n] : tree.first[n] + tree.count[n]].tolist())
+        (
+            tree.lower[n].tolist(),
+            tree.upper[n].tolist(),
+            tree.references[tree.first[n] : tree.first[n] + tree.count[n]].tolist(),
+        )
         for n in np.flatnonzero(tree.is_leaf)
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")
@@ -162,9 +165,10 @@ def test_a_split_triangle_that_is_not_covered_is_refused(split):
     arrays = tree.to_arrays()
     twice = np.flatnonzero(np.bincount(tree.references) > 1)
     n = next(
-        n for n in np.flatnonzero(tree.is_leaf)
+        n
+        for n in np.flatnonzero(tree.is_leaf)
         if np.isin(tree.references[tree.first[n] : tree.first[n] + tree.count[n]], twice).all()
-    )  # fmt: skip
+    )
     lower = arrays["lower"].copy()
     lower[n] = arrays["upper"][n]
     gap = mibvh.Tree.from_arrays(**{**arrays, "lower": lower})
@@ -300,8 +304,14 @@ def test_dumps_of_other_programs(tmp_path, scene):
     triangles = mibvh.load(scene).triangles
     (tmp_path / "triangles").write_bytes(triangles.corners.tobytes())
     trees = {}
-    for dump in ("tinybvh", "tinybvh-save", "madmann91", "madmann91-double", "madmann91-old",
-                 "madmann91-old-double"):  # fmt: skip
+    for dump in (
+        "tinybvh",
+        "tinybvh-save",
+        "madmann91",
+        "madmann91-double",
+        "madmann91-old",
+        "madmann91-old-double",
+    ):
         path = tmp_path / dump
         ran = subprocess.run(
             [program, tmp_path / "triangles", dump, path],

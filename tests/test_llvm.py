@@ -13,9 +13,13 @@ from mibvh.llvm import VARIABLE, usable, wheel_library
 
 def run(*arguments, library):
     return subprocess.run(
-        [sys.executable, "-m", "mibvh", *arguments], capture_output=True, text=True,
-        env={**os.environ, VARIABLE: library}, timeout=120, check=False,
-    )  # fmt: skip
+        [sys.executable, "-m", "mibvh", *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, VARIABLE: library},
+        timeout=120,
+        check=False,
+    )
 
 
 def test_what_is_in_use_is_usable():

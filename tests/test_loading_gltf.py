@@ -36,9 +36,12 @@ class File:
         values = values.astype(values.dtype.newbyteorder("<"))
         flat = values.transpose(0, 2, 1) if values.ndim == 3 else values
         entry = {
-            "bufferView": self.view(flat.tobytes()), "count": len(values),
-            "componentType": _TYPES[values.dtype.str[1:]], "type": _KINDS[values.shape[1:]], **more,
-        }  # fmt: skip
+            "bufferView": self.view(flat.tobytes()),
+            "count": len(values),
+            "componentType": _TYPES[values.dtype.str[1:]],
+            "type": _KINDS[values.shape[1:]],
+            **more,
+        }
         if values.shape[1:] == (3,):
             entry.setdefault("min", values.min(axis=0).tolist())
             entry.setdefault("max", values.max(axis=0).tolist())
@@ -49,8 +52,9 @@ class File:
         """A mesh of the unit square."""
         primitive = {
             "attributes": {"POSITION": self.accessor(SQUARE)},
-            "indices": self.accessor(TWO.astype(index_type)), **more,
-        }  # fmt: skip
+            "indices": self.accessor(TWO.astype(index_type)),
+            **more,
+        }
         self.document.setdefault("meshes", []).append({"primitives": [primitive]})
         return primitive
 
@@ -152,10 +156,17 @@ def test_quantised_positions(load, kind, largest, normalized):
     values = np.pad((SQUARE * largest).astype(kind), ((0, 0), (0, 1)))  # rows of four: a stride
     view = file.view(values.tobytes())
     file.document["bufferViews"][view]["byteStride"] = 4 * values.itemsize
-    file.document["accessors"].append({
-        "bufferView": view, "count": 4, "componentType": _TYPES[kind], "type": "VEC3",
-        "normalized": normalized, "min": [0, 0, 0], "max": [largest, largest, 0],
-    })  # fmt: skip
+    file.document["accessors"].append(
+        {
+            "bufferView": view,
+            "count": 4,
+            "componentType": _TYPES[kind],
+            "type": "VEC3",
+            "normalized": normalized,
+            "min": [0, 0, 0],
+            "max": [largest, largest, 0],
+        }
+    )
     primitive["attributes"]["POSITION"] = len(file.document["accessors"]) - 1
     scene = load(file)
     np.testing.assert_allclose(scene.triangles.bounds, [[0, 0, 0], [2, 2, 0]], atol=1e-6)

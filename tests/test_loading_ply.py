@@ -20,17 +20,30 @@ _CODES = {"uchar": "B", "char": "b", "ushort": "H", "short": "h", "int": "i", "u
 
 
 def ply(
-    points, faces, form="binary_little_endian", length="uchar", index="int", real="float",
-    name="vertex_indices", before=(), after=(),
-):  # fmt: skip
+    points,
+    faces,
+    form="binary_little_endian",
+    length="uchar",
+    index="int",
+    real="float",
+    name="vertex_indices",
+    before=(),
+    after=(),
+):
     """Write a PLY file by its specification; ``before`` and ``after``: properties of a face."""
     header = [
-        "ply", f"format {form} 1.0", "comment by hand", f"element vertex {len(points)}",
-        *(f"property {real} {axis}" for axis in "xyz"), f"element face {len(faces)}",
+        "ply",
+        f"format {form} 1.0",
+        "comment by hand",
+        f"element vertex {len(points)}",
+        *(f"property {real} {axis}" for axis in "xyz"),
+        f"element face {len(faces)}",
         *(f"property {kind} p{i}" for i, kind in enumerate(before)),
         f"property list {length} {index} {name}",
-        *(f"property {kind} q{i}" for i, kind in enumerate(after)), "end_header", "",
-    ]  # fmt: skip
+        *(f"property {kind} q{i}" for i, kind in enumerate(after)),
+        "end_header",
+        "",
+    ]
     head = "\n".join(header).encode()
     if form == "ascii":
         rows = [" ".join(map(repr, map(float, p))) for p in points]
@@ -72,12 +85,15 @@ def test_polygons_of_mixed_sizes(load, form, extra):
     ("form", "length", "index", "real", "name"),
     [
         *itertools.product(
-            ["binary_little_endian", "binary_big_endian"], ["uchar", "int"],
-            ["uchar", "ushort", "short", "uint", "int32"], ["float", "double"], ["vertex_index"],
+            ["binary_little_endian", "binary_big_endian"],
+            ["uchar", "int"],
+            ["uchar", "ushort", "short", "uint", "int32"],
+            ["float", "double"],
+            ["vertex_index"],
         ),
         ("ascii", "uint8", "int32", "double", "vertex_indices"),
     ],
-)  # fmt: skip
+)
 def test_types_of_numbers(load, form, length, index, real, name):
     """Two triangles of one square, all faces alike: the fast path."""
     scene = load(ply(POINTS, [(3, 4, 5), (3, 5, 6)], form, length, index, real, name))

@@ -68,10 +68,13 @@ def test_the_picture_of_the_docs_by_hand():
 
 def test_epo_of_a_split_tree_partition_is_zero():
     """Both triangles cross the plane between the leaves and are in both: nothing is foreign."""
-    corners = np.array([[[0, 0, 0], [2, 0, 0], [0, 1, 0]], [[2, 0, 0], [2, 1, 0], [0, 1, 0]]],
-                       np.float32)  # fmt: skip
-    tree = hand_tree(references=np.array([0, 1, 0, 1], np.int32),
-                     meta={"triangles": 2, "c_inner": 1.2, "c_tri": 1.0})  # fmt: skip
+    corners = np.array(
+        [[[0, 0, 0], [2, 0, 0], [0, 1, 0]], [[2, 0, 0], [2, 1, 0], [0, 1, 0]]], np.float32
+    )
+    tree = hand_tree(
+        references=np.array([0, 1, 0, 1], np.int32),
+        meta={"triangles": 2, "c_inner": 1.2, "c_tri": 1.0},
+    )
     assert mibvh.epo(tree, corners) == 0.0
 
 
@@ -85,8 +88,9 @@ def test_closed_boxes_count_coplanar_triangles():
         references=np.array([0, 1], np.int32),
         meta={"triangles": 2, "c_inner": 1.2, "c_tri": 1.0},
     )
-    corners = np.array([[[0, 0, 0], [1, 0, 1], [0, 1, 1]], [[0, 0, 0], [1, 0, 0], [0, 1, 0]]],
-                       np.float32)  # fmt: skip
+    corners = np.array(
+        [[[0, 0, 0], [1, 0, 1], [0, 1, 1]], [[0, 0, 0], [1, 0, 0], [0, 1, 0]]], np.float32
+    )
     triangles = mibvh.Triangles(corners)
     wall = overlap(tree, triangles).fraction[1]
     assert wall == pytest.approx(triangles.areas[1] / triangles.areas.sum(), rel=1e-12)
@@ -108,8 +112,10 @@ def clipped_area(corners, lower, upper):
         polygon = kept
         if len(polygon) < 3:
             return 0.0
-    fan = [np.cross(polygon[i] - polygon[0], polygon[i + 1] - polygon[0])
-           for i in range(1, len(polygon) - 1)]  # fmt: skip
+    fan = [
+        np.cross(polygon[i] - polygon[0], polygon[i + 1] - polygon[0])
+        for i in range(1, len(polygon) - 1)
+    ]
     return 0.5 * float(np.linalg.norm(np.sum(fan, axis=0)))
 
 
@@ -222,9 +228,9 @@ def test_what_epo_does_not_know_or_use_is_refused():
     with pytest.raises(TypeError, match="'lines'"):
         mibvh.sah(tree, lines=3)
     for unused in ({"weights": [1] * 4}, {"fragments": True}, {"threads": 2}, {"ray_ends": None}):
-        with pytest.raises(mibvh.MibvhError, match=r"takes no .* together"):
+        with pytest.raises(mibvh.MibvhError, match=r"combination of arguments: .*, "):
             mibvh.epo(tree, triangles, samples=64, **unused)
-    with pytest.raises(mibvh.MibvhError, match="takes no seed together"):
+    with pytest.raises(mibvh.MibvhError, match=r"combination of arguments: seed$"):
         mibvh.epo(tree, triangles, seed=3)
 
 
@@ -247,8 +253,14 @@ def test_estimates_by_their_old_names_warn():
 
 def test_the_headline_predictors_are_public():
     for name in (
-        "sah_of_lines", "epo_at_ends", "estimate_epo", "finite_ray_cost", "point_costs",
-        "path_length_ratio", "fit_alpha", "estimate_alpha",
-    ):  # fmt: skip
+        "sah_of_lines",
+        "epo_at_ends",
+        "estimate_epo",
+        "finite_ray_cost",
+        "point_costs",
+        "path_length_ratio",
+        "fit_alpha",
+        "estimate_alpha",
+    ):
         assert name in mibvh.__all__
         assert callable(getattr(mibvh, name))

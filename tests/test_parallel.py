@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -46,3 +49,40 @@ def test_an_error_comes_through():
 
     with pytest.raises(ValueError, match="no"):
         run_tasks(work, 1, lambda task: task, 2)
+
+
+FORKED = """
+import os, sys
+import numpy as np
+import mibvh
+corners = np.random.default_rng(0).random((4000, 3, 3)).astype(np.float32)
+builders = ("bbvh", "sbvh", "treelet", "streelet")
+before = [mibvh.build(corners, name) for name in builders]
+child = os.fork()
+if child == 0:
+    after = [mibvh.build(corners, name) for name in builders]
+    os._exit(0 if all(np.array_equal(a.lower, b.lower) for a, b in zip(before, after)) else 3)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+THREADS = """
+from concurrent.futures import ThreadPoolExecutor
+import numpy as np
+import mibvh
+corners = np.random.default_rng(0).random((3000, 3, 3)).astype(np.float32)
+builders = ("bbvh", "sbvh", "treelet", "streelet")
+alone = [mibvh.build(corners, name) for name in builders]
+with ThreadPoolExecutor(8) as pool:
+    found = list(pool.map(lambda name: mibvh.build(corners, name), builders * 6))
+assert all(np.array_equal(a.lower, b.lower) for a, b in zip(alone * 6, found))
+"""
+
+
+@pytest.mark.parametrize("program", [FORKED, THREADS], ids=["forked", "threads"])
+def test_builders_run_in_a_forked_process_and_in_several_threads(program):
+    """GNU OpenMP ends a process that was forked after it ran."""
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_THREADING_LAYER"}
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True,
+                           timeout=300, check=False,
+                           env={**environment, "NUMBA_NUM_THREADS": "2"})  # fmt: skip
+    assert ended.returncode == 0, ended.stderr

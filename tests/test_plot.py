@@ -173,8 +173,9 @@ def test_wireframe_is_where_mitsuba_sees_the_boxes(cornell):
     for axis in range(3):
         along = np.eye(3)[axis]
         for ends in np.ndindex(2, 2):
-            corner = np.insert(np.where(ends, np.delete(upper, axis), np.delete(lower, axis)),
-                               axis, 0)  # fmt: skip
+            corner = np.insert(
+                np.where(ends, np.delete(upper, axis), np.delete(lower, axis)), axis, 0
+            )
             across = np.cross(d, along)
             across /= np.linalg.norm(across, axis=1, keepdims=True)
             gap = np.minimum(gap, np.abs(((corner - o) * across).sum(axis=1)))
@@ -210,12 +211,20 @@ def test_picture_keeps_the_film(cornell):
 def test_a_room_that_its_light_does_not_get_into_is_lit_from_the_camera():
     import mitsuba as mi
 
-    room = mibvh.load({
-        "type": "scene", "integrator": {"type": "path"}, "sky": {"type": "constant"},
-        "walls": {"type": "cube", "bsdf": {"type": "twosided", "b": {"type": "diffuse"}}},
-        "sensor": {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at(
-            origin=[0, 0.1, 0.9], target=[0.2, 0, 0], up=[0, 1, 0])},
-    })  # fmt: skip
+    room = mibvh.load(
+        {
+            "type": "scene",
+            "integrator": {"type": "path"},
+            "sky": {"type": "constant"},
+            "walls": {"type": "cube", "bsdf": {"type": "twosided", "b": {"type": "diffuse"}}},
+            "sensor": {
+                "type": "perspective",
+                "to_world": mi.ScalarTransform4f().look_at(
+                    origin=[0, 0.1, 0.9], target=[0.2, 0, 0], up=[0, 1, 0]
+                ),
+            },
+        }
+    )
     assert np.array_equal(picture(room, width=20, samples=4), picture(room, width=20, samples=0))
 
 
@@ -226,10 +235,10 @@ def test_a_room_that_its_light_does_not_get_into_is_lit_from_the_camera():
         (lambda plot, t, s: plot.by_depth(t, "epo"), "EPO by depth needs the triangles"),
         (lambda plot, t, s: plot.by_depth([]), "no tree to draw"),
         (lambda plot, t, s: plot.by_depth([t, t]), "two of the trees are named bbvh"),
-        (lambda plot, t, s: plot.leaf_sizes({"mine": 3}), "mine: is no tree but a int"),
+        (lambda plot, t, s: plot.leaf_sizes({"mine": 3}), "mine: is of type int, not a Tree"),
         (lambda plot, t, s: plot.overlap_slice(t, s, "trees"), "coloured by leaves"),
         (lambda plot, t, s: plot.overlap_slice(t, s, axis="w"), "is x, y or z, not 'w'"),
-        (lambda plot, t, s: plot.overlap_slice(t, s, axis="x", at=1e9), "is beside cornell"),
+        (lambda plot, t, s: plot.overlap_slice(t, s, axis="x", at=1e9), "is outside cornell"),
         (lambda plot, t, s: plot.overlap_slice(t, soup(5)), "built for another geometry"),
         (lambda plot, t, s: plot.wireframe(t, s, -1), "must not be negative, not -1"),
         (lambda plot, t, s: plot.wireframe(t, s, viewpoint=99), "none of them number 99"),

@@ -32,19 +32,25 @@ def film(size=32):
 
 def stage(**more):
     """A floor, a camera, and what is put on the floor."""
-    return mi.load_dict({
-        "type": "scene",
-        "sensor": {
-            "type": "perspective", "film": film(),
-            "to_world": At().look_at([0, 2, 6], [0, 0.5, 0], [0, 1, 0]),
-        },
-        "floor": {
-            "type": "rectangle", "to_world": At().rotate([1, 0, 0], -90).scale(4),
-            "bsdf": {"type": "diffuse", "reflectance": {
-                "type": "checkerboard", "to_uv": At().scale([7, 7, 1])}},
-        },
-        **more,
-    })  # fmt: skip
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "sensor": {
+                "type": "perspective",
+                "film": film(),
+                "to_world": At().look_at([0, 2, 6], [0, 0.5, 0], [0, 1, 0]),
+            },
+            "floor": {
+                "type": "rectangle",
+                "to_world": At().rotate([1, 0, 0], -90).scale(4),
+                "bsdf": {
+                    "type": "diffuse",
+                    "reflectance": {"type": "checkerboard", "to_uv": At().scale([7, 7, 1])},
+                },
+            },
+            **more,
+        }
+    )
 
 
 def box(bsdf, x, y=0.6, z=0.0):
@@ -58,8 +64,11 @@ def sky():
     return {"type": "envmap", "bitmap": mi.Bitmap(pixels)}
 
 
-LAMP = {"type": "rectangle", "to_world": At().translate([0, 3, 1]).rotate([1, 0, 0], 90),
-        "emitter": {"type": "area", "radiance": 4.0}}  # fmt: skip
+LAMP = {
+    "type": "rectangle",
+    "to_world": At().translate([0, 3, 1]).rotate([1, 0, 0], 90),
+    "emitter": {"type": "area", "radiance": 4.0},
+}
 
 
 def cornell_box():
@@ -132,11 +141,15 @@ def test_a_bundled_scene_looks_as_in_path():
 def test_what_a_tree_cannot_hold_is_named_and_traced_beside_it():
     scene = stage(
         sky=sky(),
-        ball={"type": "sphere", "radius": 0.5, "center": [-1, 0.5, 0],
-              "bsdf": {"type": "dielectric"}},
+        ball={
+            "type": "sphere",
+            "radius": 0.5,
+            "center": [-1, 0.5, 0],
+            "bsdf": {"type": "dielectric"},
+        },
         plate={"type": "disk", "to_world": At().translate([1, 1, -0.7])},
         box=box({"type": "diffuse"}, 0.0),
-    )  # fmt: skip
+    )
     with pytest.warns(UserWarning, match="cannot hold Sphere 'ball', Disk 'plate'"):
         assert_same_image(scene)
     assert {shape.id() for shape in scene.shapes()} >= {"ball", "plate"}
@@ -146,10 +159,13 @@ def test_instances_are_traced_beside_the_tree():
     scene = stage(
         lamp=LAMP,
         group={"type": "shapegroup", "a": box({"type": "diffuse"}, 0), "b": {"type": "sphere"}},
-        one={"type": "instance", "g": {"type": "ref", "id": "group"},
-             "to_world": At().translate([-1.5, 0.3, 0]).scale(0.6)},
+        one={
+            "type": "instance",
+            "g": {"type": "ref", "id": "group"},
+            "to_world": At().translate([-1.5, 0.3, 0]).scale(0.6),
+        },
         box=box({"type": "diffuse"}, 1.0),
-    )  # fmt: skip
+    )
     with pytest.warns(UserWarning, match="cannot hold Instance 'one'"):
         assert_same_image(scene)
 
@@ -171,19 +187,32 @@ def field(scale, move):
     at = At().translate([move] * 3).scale(scale)
     places = enumerate([[-1, 0.5, 0], [0, 0.4, 0.5], [1, 0.6, -0.5]])
     view = [[x * scale + move for x in p] for p in ([0, 2, 6], [0, 0.5, 0])]
-    return mi.load_dict({
-        "type": "scene", "sky": {"type": "constant"},
-        "sensor": {
-            "type": "perspective", "near_clip": 0.01 * scale, "far_clip": 100 * scale,
-            "film": film(), "to_world": At().look_at(*view, [0, 1, 0]),
-        },
-        "floor": {"type": "rectangle", "to_world": at @ At().rotate([1, 0, 0], -90).scale(4),
-                  "bsdf": {"type": "diffuse", "reflectance": {"type": "checkerboard"}}},
-        **{f"box{i}": {
-            "type": "cube", "bsdf": {"type": "diffuse"},
-            "to_world": at @ At().translate(p).rotate([0, 1, 0], 30 * i).scale(0.4)}
-            for i, p in places},
-    })  # fmt: skip
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "sky": {"type": "constant"},
+            "sensor": {
+                "type": "perspective",
+                "near_clip": 0.01 * scale,
+                "far_clip": 100 * scale,
+                "film": film(),
+                "to_world": At().look_at(*view, [0, 1, 0]),
+            },
+            "floor": {
+                "type": "rectangle",
+                "to_world": at @ At().rotate([1, 0, 0], -90).scale(4),
+                "bsdf": {"type": "diffuse", "reflectance": {"type": "checkerboard"}},
+            },
+            **{
+                f"box{i}": {
+                    "type": "cube",
+                    "bsdf": {"type": "diffuse"},
+                    "to_world": at @ At().translate(p).rotate([0, 1, 0], 30 * i).scale(0.4),
+                }
+                for i, p in places
+            },
+        }
+    )
 
 
 @pytest.mark.parametrize(("scale", "move"), [(1e-6, 0), (1e6, 0), (1, 10000)])
@@ -283,10 +312,12 @@ def test_costs_are_those_of_trace(cornell):
     for i in range(0, len(hit), 7):
         point, triangle = ends.points[i], ends.triangle[i]
         inside = ((point >= tree.lower) & (point <= tree.upper)).all(axis=1)
-        own = np.array([
-            triangle in tree.references[first : first + count]
-            for first, count in zip(tree.first, tree.count, strict=True)
-        ])  # fmt: skip
+        own = np.array(
+            [
+                triangle in tree.references[first : first + count]
+                for first, count in zip(tree.first, tree.count, strict=True)
+            ]
+        )
         cost = np.where(tree.is_leaf, 1.0 * tree.count, 1.2)
         assert told["overlap"][hit[i]] == pytest.approx(cost[inside & ~own].sum(), abs=1e-6)
         depth = tree.depths[inside & own & tree.is_leaf].min()
@@ -311,10 +342,15 @@ def test_depth_of_the_leaf_of_a_split_triangle():
 
 def test_heat_maps_of_two_trees_and_their_figure(tmp_path):
     scene = cornell_box()
-    integrator = mi.load_dict({
-        "type": "bvh_cost", "builder": "sbvh", "max_leaf": 2, "compare": "lbvh",
-        "compare_max_leaf": 8,
-    })  # fmt: skip
+    integrator = mi.load_dict(
+        {
+            "type": "bvh_cost",
+            "builder": "sbvh",
+            "max_leaf": 2,
+            "compare": "lbvh",
+            "compare_max_leaf": 8,
+        }
+    )
     assert integrator.layers == ["sbvh", "lbvh", "difference"]
     image = mi.render(scene, integrator=integrator, spp=2)
     channels = mibvh.mitsuba.image_channels(image, integrator)
@@ -323,8 +359,9 @@ def test_heat_maps_of_two_trees_and_their_figure(tmp_path):
     for name in QUANTITIES:
         np.testing.assert_allclose(
             channels[f"difference.{name}"],
-            channels[f"lbvh.{name}"] - channels[f"sbvh.{name}"], atol=1e-4,
-        )  # fmt: skip
+            channels[f"lbvh.{name}"] - channels[f"sbvh.{name}"],
+            atol=1e-4,
+        )
     np.testing.assert_allclose(
         channels["sbvh.cost"], 1.2 * channels["sbvh.inner"] + channels["sbvh.triangles"], rtol=1e-5
     )
@@ -346,8 +383,9 @@ def test_xml_with_parameters():
         <lookat origin="0, 0, -5" target="0, 0, 0" up="0, 1, 0"/></transform>
         <film type="hdrfilm"><integer name="width" value="8"/>
         <integer name="height" value="8"/></film></sensor><emitter type="constant"/>
-        <shape type="cube"/></scene>""", who="lbvh",
-    )  # fmt: skip
+        <shape type="cube"/></scene>""",
+        who="lbvh",
+    )
     assert "builder = lbvh" in str(scene.integrator())
     assert "'max_leaf': 2" in str(scene.integrator())
     with warnings.catch_warnings():
@@ -406,8 +444,12 @@ def test_rays_are_those_of_diffuse_rays_and_shown_where_they_end(tmp_path):
         mi.render(scene, integrator=integrator, spp=1), integrator
     )
     assert set(channels) == {
-        "all.density", "bounce1.density", "bounce2.density", "shade", "hit",
-    }  # fmt: skip
+        "all.density",
+        "bounce1.density",
+        "bounce2.density",
+        "shade",
+        "hit",
+    }
     wanted = mibvh.diffuse_rays(scene, **how)
     assert integrator.rays.digest == wanted.digest == mibvh.RaySet.load(file).digest
     assert integrator.rays.meta["digest"] == wanted.meta["digest"]
@@ -458,9 +500,16 @@ def test_render_command(tmp_path, capsys, monkeypatch):
     assert "cannot hold Sphere 'ball'" in err
     assert np.array(mi.Bitmap(str(image)))[4, 6, 0] > 0.5  # 0.1 at most without -D
     code, out, _ = run(
-        "cornell@3000", "-o", image, *small, "--integrator", "bvh_cost", "--compare", "lbvh",
+        "cornell@3000",
+        "-o",
+        image,
+        *small,
+        "--integrator",
+        "bvh_cost",
+        "--compare",
+        "lbvh",
         "--json",
-    )  # fmt: skip
+    )
     assert json.loads(out)["means"]["difference.cost"] > 0
     names = [field.name for field in mi.Bitmap(str(image)).struct_()]
     assert {"R", "sbvh.overlap", "lbvh.leaf_depth", "difference.cost", "hit"} <= set(names)

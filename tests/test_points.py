@@ -137,7 +137,7 @@ def test_per_depth_adds_up(traced):
     shares = mibvh.epo_per_depth(tree, triangles)
     assert shares[0] == 0.0  # nothing is foreign to the root
     assert shares.sum() == pytest.approx(mibvh.epo(tree, triangles))
-    with pytest.raises(mibvh.MibvhError, match="weights need"):
+    with pytest.raises(mibvh.MibvhError, match="weights must be"):
         mibvh.epo(tree, triangles, weights=[1.0])
 
 

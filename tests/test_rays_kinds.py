@@ -47,8 +47,9 @@ def test_primary_rays_begin_at_the_cameras(cornell):
     assert len(rays) == 24 * 18 * 2 * len(cornell.sensors) == rays.meta["primary_rays"]
     assert set(rays.source) == {-1}
     assert set(rays.bounce) == {0}
-    places = np.array([np.array(s.world_transform().matrix)[:3, 3].ravel()
-                       for s in cornell.sensors])[rays.viewpoint]  # fmt: skip
+    places = np.array(
+        [np.array(s.world_transform().matrix)[:3, 3].ravel() for s in cornell.sensors]
+    )[rays.viewpoint]
     assert np.linalg.norm(rays.o - places, axis=1).max() < 0.1 * cornell.triangles.diagonal
 
 
@@ -95,8 +96,10 @@ def test_distant_lights_are_all_in_one_direction(tmp_path):
 def test_ambient_occlusion_has_a_radius(cornell):
     diagonal = cornell.triangles.diagonal
     for how, radius in [
-        ({}, 0.1 * diagonal), ({"radius_share": 0.3}, 0.3 * diagonal), ({"radius": 0.05}, 0.05),
-    ]:  # fmt: skip
+        ({}, 0.1 * diagonal),
+        ({"radius_share": 0.3}, 0.3 * diagonal),
+        ({"radius": 0.05}, 0.05),
+    ]:
         rays = mibvh.make_rays(cornell, "ao", **how, **FEW)
         np.testing.assert_allclose(rays.tmax, radius, rtol=1e-6)
         assert rays.meta["radius"] == pytest.approx(radius)
@@ -156,8 +159,11 @@ def test_mixtures_weigh_the_kinds(cornell):
     assert mixture.mean(len) == pytest.approx(sum(len(p) ** 2 for p in parts) / count)
     assert mibvh.Mixture(parts, (1, 3)).mean(lambda rays: rays.occlusion) == 0.75
     assert mibvh.Mixture(parts, (0, 2)).mean(lambda rays: rays.occlusion) == 1
-    for weights, said in [((1,), "2 ray sets and 1 weights"), ((1, -1), "weights must be finite"),
-                          ((0, 0), "not all 0")]:  # fmt: skip
+    for weights, said in [
+        ((1,), "2 ray sets and 1 weights"),
+        ((1, -1), "weights must be finite"),
+        ((0, 0), "not all 0"),
+    ]:
         with pytest.raises(mibvh.MibvhError, match=said):
             mibvh.Mixture(parts, weights)
     with pytest.raises(mibvh.MibvhError, match="weights must be"):

@@ -67,8 +67,9 @@ def test_a_camera_ten_thousand_diagonals_away():
     triangles = boxes(0)
     scene = mibvh.load(triangles)
     at = mi.ScalarTransform4f().look_at([2e5, 1e5, 2e5], [0, 0, 0], [0, 1, 0])
-    scene.sensors = [mi.load_dict(
-        {"type": "perspective", "fov": 0.005, "far_clip": 1e6, "to_world": at})]  # fmt: skip
+    scene.sensors = [
+        mi.load_dict({"type": "perspective", "fov": 0.005, "far_clip": 1e6, "to_world": at})
+    ]
     rays = mibvh.diffuse_rays(scene, **FEW)
     assert len(rays) > 300
     assert self_hits(triangles, rays) == [0, 0, 0]

@@ -78,13 +78,26 @@ def _rows(record):
 
 def _sheets(records):
     frame = pd.DataFrame({"scene": [r.scene for r in records]})
-    return [Sheet(name="leaf-counts", section="Leaves", title="Leaves counted again", frame=frame,
-                  columns=[Column("scene")])]  # fmt: skip
+    return [
+        Sheet(
+            name="leaf-counts",
+            section="Leaves",
+            title="Leaves counted again",
+            frame=frame,
+            columns=[Column("scene")],
+        )
+    ]
 
 
 def _claims(records, found):
-    yield Claim(topic="leaves", claim="trees have leaves", paper="–", ours="yes", judged="any",
-                conditions=(True,))  # fmt: skip
+    yield Claim(
+        topic="leaves",
+        claim="trees have leaves",
+        paper="–",
+        ours="yes",
+        judged="any",
+        conditions=(True,),
+    )
 
 
 COUNT = Experiment(
@@ -115,8 +128,14 @@ def added(monkeypatch):
 def test_what_a_user_adds_shows_everywhere(added, tmp_path):
     steps = []
     builders = ("bbvh", "lbvh", "agglo", "hill", "treelet")
-    study = mibvh.study([soup(300)], tmp_path, builders=builders, experiments=("all",),
-                        progress=steps.append, **CHOICES)  # fmt: skip
+    study = mibvh.study(
+        [soup(300)],
+        tmp_path,
+        builders=builders,
+        experiments=("all",),
+        progress=steps.append,
+        **CHOICES,
+    )
     # The metric: in the record, in both files, in the tables, under its heading.
     tree = mibvh.build(soup(300), "lbvh")
     expected = np.ptp(tree.depths[tree.is_leaf])
@@ -172,10 +191,12 @@ def test_weights_of_one_scene_predict_another():
     """What is fitted to some trees is applied to others by ``predict`` alone."""
     rng = np.random.default_rng(0)
     sah, epo, lcv = rng.random((3, 9))
-    record = scene_record([
-        tree_row(sah=s, epo=e, lcv=v, counted_cost=0.3 * s + 0.7 * e)
-        for s, e, v in zip(sah, epo, lcv, strict=True)
-    ])  # fmt: skip
+    record = scene_record(
+        [
+            tree_row(sah=s, epo=e, lcv=v, counted_cost=0.3 * s + 0.7 * e)
+            for s, e, v in zip(sah, epo, lcv, strict=True)
+        ]
+    )
     fitted = predictor("fitted")
     weights, values = fitted([record.sample("counted_cost")])
     assert weights["alpha"] == pytest.approx(0.7)

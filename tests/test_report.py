@@ -17,17 +17,22 @@ SHEET = Sheet(
     section="Costs",
     title="Costs of 100% & more",
     note="With α = 0.5.",
-    frame=pd.DataFrame({
-        "builder": ["a_b", "c"], "cost": [2.5, 1.25], "error": [0.011, np.nan],
-        "held": [True, False], "none": [np.nan, np.inf],
-    }),
+    frame=pd.DataFrame(
+        {
+            "builder": ["a_b", "c"],
+            "cost": [2.5, 1.25],
+            "error": [0.011, np.nan],
+            "held": [True, False],
+            "none": [np.nan, np.inf],
+        }
+    ),
     columns=[
         Column("builder"),
         Column("cost", format=".2f", error="error", smaller_is_better=True),
         Column("held"),
         Column("none", "nothing"),
     ],
-)  # fmt: skip
+)
 
 
 def test_cells():
@@ -43,12 +48,15 @@ def test_cells():
 
 def test_markdown():
     assert SHEET.markdown().splitlines() == [
-        "### Costs of 100% & more", "", "With α = 0.5.", "",
+        "### Costs of 100% & more",
+        "",
+        "With α = 0.5.",
+        "",
         "| builder | cost | held | nothing |",
         "| --- | ---: | ---: | ---: |",
         "| a_b | 2.50 | yes | – |",
         "| c | 1.25 | no | ∞ |",
-    ]  # fmt: skip
+    ]
 
 
 def test_latex():

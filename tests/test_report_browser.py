@@ -12,9 +12,16 @@ DRIVER = shutil.which("chromedriver")
 pytestmark = pytest.mark.skipif(
     not (BROWSER and DRIVER), reason="there is no Chromium with chromedriver on this machine"
 )
-FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-         "--disable-background-networking", "--disable-component-update",
-         "--disable-sync")  # fmt: skip
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +41,7 @@ def browser(report, tmp_path_factory):
     for flag in (*FLAGS, f"--user-data-dir={profile}", "--window-size=1400,1000"):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(
-        options=options, service=Service(DRIVER, log_output=os.devnull)
-    )  # fmt: skip
+    driver = webdriver.Chrome(options=options, service=Service(DRIVER, log_output=os.devnull))
     try:
         yield driver
     finally:
@@ -54,8 +59,9 @@ def found(page, selector):
 
 
 def hover(page, element):
-    page.execute_script("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})",
-                        element)  # fmt: skip
+    page.execute_script(
+        "arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", element
+    )
     from selenium.webdriver.common.action_chains import ActionChains
 
     ActionChains(page).move_to_element(element).perform()
@@ -83,8 +89,10 @@ def test_sorts(page):
     button = found(page, f"{name} th button")[column]
 
     def values():
-        return [float(row.find_elements("tag name", "td")[column].get_attribute("data-sort"))
-                for row in found(page, f"{name} tbody tr")]  # fmt: skip
+        return [
+            float(row.find_elements("tag name", "td")[column].get_attribute("data-sort"))
+            for row in found(page, f"{name} tbody tr")
+        ]
 
     before = values()
     assert before != sorted(before)  # or sorting would prove nothing

@@ -21,13 +21,18 @@ def xml(tmp_path, body, camera=CAMERA):
 
 
 def test_instances_are_flattened_and_transformed(tmp_path):
-    scene = mibvh.load(xml(tmp_path, """
+    scene = mibvh.load(
+        xml(
+            tmp_path,
+            """
         <shape type="shapegroup" id="g"><shape type="cube"/><shape type="rectangle"/></shape>
         <shape type="instance"><ref id="g"/></shape>
         <shape type="instance"><ref id="g"/><transform name="to_world">
           <scale value="2"/><translate x="10"/></transform></shape>
         <shape type="cube"><transform name="to_world"><translate y="-5"/></transform></shape>
-        """))  # fmt: skip
+        """,
+        )
+    )
     assert scene.name == "a_scene"
     assert len(scene.triangles) == 12 + 2 * (12 + 2)
     np.testing.assert_allclose(scene.triangles.bounds, [[-1, -6, -2], [12, 2, 2]], atol=1e-6)
@@ -37,11 +42,16 @@ def test_instances_are_flattened_and_transformed(tmp_path):
 
 
 def test_analytic_shapes_are_tessellated_and_others_named(tmp_path):
-    scene = mibvh.load(xml(tmp_path, """
+    scene = mibvh.load(
+        xml(
+            tmp_path,
+            """
         <shape type="sphere" id="ball"><float name="radius" value="2"/></shape>
         <shape type="disk" id="plate"><transform name="to_world"><translate z="5"/></transform>
         </shape>
-        <shape type="cylinder" id="can"/>"""))  # fmt: skip
+        <shape type="cylinder" id="can"/>""",
+        )
+    )
     said = " ".join(scene.notes)
     for name in ("ball", "plate", "can"):
         assert f"'{name}' was tessellated" in said

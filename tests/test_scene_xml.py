@@ -116,9 +116,13 @@ def test_meshes_of_a_serialized_file_by_their_index(tmp_path):
     data = first + second + struct.pack("<QQI", 0, len(first), 2)
     (tmp_path / "two.serialized").write_bytes(data)
     for index, area, z in ((0, 0.5, 0), (1, 2, 3)):
-        scene = mibvh.load(write(
-            tmp_path, '<shape type="serialized"><string name="filename" value="two.serialized"/>'
-            f'<integer name="shape_index" value="{index}"/></shape>'))  # fmt: skip
+        scene = mibvh.load(
+            write(
+                tmp_path,
+                '<shape type="serialized"><string name="filename" value="two.serialized"/>'
+                f'<integer name="shape_index" value="{index}"/></shape>',
+            )
+        )
         assert scene.triangles.areas.tolist() == [area]
         assert scene.triangles.bounds[:, 2].tolist() == [z, z]
 
@@ -172,26 +176,33 @@ GROUP = '<shape type="shapegroup" id="g">{}</shape>'
     [
         # members with transforms of their own
         GROUP.format(f'<shape type="cube">{world(TURNED)}</shape><shape type="rectangle"/>')
-        + instance("g", SHEAR + '<translate x="9"/>') + instance("g", MIRRORED),
+        + instance("g", SHEAR + '<translate x="9"/>')
+        + instance("g", MIRRORED),
         # the group's transform, which Mitsuba does not take
         GROUP.format(world('<translate x="50"/>') + '<shape type="cube"/>')
         + instance("g", '<translate x="4"/>'),
         # shapes that are merged in the group
-        GROUP.format('<shape type="merge"><shape type="cube"/><shape type="rectangle">'
-                     + world('<translate z="3"/>') + "</shape></shape>")
-        + instance("g", '<translate x="5"/>') + instance("g", UNEVEN),
+        GROUP.format(
+            '<shape type="merge"><shape type="cube"/><shape type="rectangle">'
+            + world('<translate z="3"/>')
+            + "</shape></shape>"
+        )
+        + instance("g", '<translate x="5"/>')
+        + instance("g", UNEVEN),
         # one instance twice, a group that nobody names, and the same cube outside
-        GROUP.format('<shape type="cube"/>') + '<shape type="cube"/>'
+        GROUP.format('<shape type="cube"/>')
+        + '<shape type="cube"/>'
         + instance("g", '<translate y="8"/>') * 2
         + '<shape type="shapegroup" id="unused"><shape type="cube"/></shape>',
         # two groups of equal members
         GROUP.format('<shape type="cube"/>')
         + '<shape type="shapegroup" id="h"><shape type="cube"/></shape>'
-        + instance("g", '<translate y="8"/>') + instance("h", '<translate y="-8"/>'),
+        + instance("g", '<translate y="8"/>')
+        + instance("h", '<translate y="-8"/>'),
         # an instance without a transform
         GROUP.format('<shape type="cube"/>') + '<shape type="instance"><ref id="g"/></shape>',
     ],
-)  # fmt: skip
+)
 def test_instances_are_where_mitsuba_has_them(tmp_path, body):
     same_as_mitsuba(write(tmp_path, body))
 
@@ -206,15 +217,18 @@ def test_spheres_in_groups(tmp_path):
 @pytest.mark.parametrize(
     ("body", "said"),
     [
-        (GROUP.format('<shape type="cube"/>')
-         + '<shape type="shapegroup" id="h"><shape type="instance"><ref id="g"/></shape></shape>'
-         + instance("h", ""), "Nested instancing is not permitted"),
+        (
+            GROUP.format('<shape type="cube"/>')
+            + '<shape type="shapegroup" id="h"><shape type="instance"><ref id="g"/></shape></shape>'
+            + instance("h", ""),
+            "Nested instancing is not permitted",
+        ),
         ('<shape type="cube"><animation name="to_world"/></shape>', "<animation>"),
         ('<shape type="instance"><ref id="nobody"/></shape>', "nobody"),
         ('<include filename="no.xml"/>', "no.xml"),
         ('<shape type="cube">', "a.xml"),
     ],
-)  # fmt: skip
+)
 def test_what_mitsuba_refuses_is_one_sentence(tmp_path, body, said):
     with pytest.raises(mibvh.MibvhError) as found:
         mibvh.load(write(tmp_path, body))

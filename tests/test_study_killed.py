@@ -9,8 +9,13 @@ import sys
 import mibvh
 
 SCENES = ["cornell@3000", "hairball@3000"]
-CHOICES = {"builders": ["bbvh", "lbvh", "hill"], "width": 24, "height": 16, "scalar_rays": 256,
-           "seconds": 0.0}  # fmt: skip
+CHOICES = {
+    "builders": ["bbvh", "lbvh", "hill"],
+    "width": 24,
+    "height": 16,
+    "scalar_rays": 256,
+    "seconds": 0.0,
+}
 PROGRAM = """
 import json, sys, mibvh
 scenes, folder, choices = json.loads(sys.argv[1])
@@ -23,8 +28,10 @@ def test_kill_minus_nine(tmp_path):
     killed = tmp_path / "killed"
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, json.dumps([SCENES, str(killed), CHOICES])],
-        stdout=subprocess.PIPE, text=True, env=dict(os.environ),
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        text=True,
+        env=dict(os.environ),
+    )
     with process:
         for line in process.stdout:
             if line.startswith("hairball@3000 count lbvh"):  # in the middle of the second scene
@@ -33,8 +40,11 @@ def test_kill_minus_nine(tmp_path):
         process.stdout.read()
     assert process.returncode == -signal.SIGKILL
     assert not (killed / "report.html").exists()
-    kept = {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in (killed / "cache").iterdir()
-            if not p.name.startswith(".")}  # fmt: skip
+    kept = {
+        p: (p.stat().st_mtime_ns, p.read_bytes())
+        for p in (killed / "cache").iterdir()
+        if not p.name.startswith(".")
+    }
     # Of each tree a file, its metrics and its depths, and its counts: five trees, one in flight.
     assert sum(p.name.startswith("tree-") for p in kept) >= 5
 

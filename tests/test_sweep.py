@@ -1,4 +1,4 @@
-"""`bbvh` against a sweep that tries everything in O(n^2)."""
+"""`bbvh` against the plain sweep, which sorts every node anew and tries every split."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import mibvh
 from mibvh._jit import njit
-from mibvh.builders import get
-from mibvh.builders.draft import Draft, References
-from mibvh.builders.registry import Context
+from mibvh.builders import get, registry
+from mibvh.builders.draft import Draft
+from mibvh.builders.plain import plain_sweep
+from mibvh.builders.registry import Context, Options
 from mibvh.builders.simd import (
     half_area,
     half_area_exact,
@@ -29,25 +31,6 @@ def area(lower: np.ndarray, upper: np.ndarray) -> np.float32:
     return dx * dy + (dx + dy) * dz
 
 
-def brute_force(refs: References, ids: list[int]) -> int | tuple:
-    """Nested pairs of reference ids: all splits of all axes, tried one by one."""
-    if len(ids) == 1:
-        return ids[0]
-    centers = refs.lower + refs.upper
-    n = len(ids)
-    candidates = []
-    for axis in range(3):
-        order = sorted(ids, key=lambda i: (float(centers[i, axis]), i))
-        for at in range(1, n):
-            a, b = order[:at], order[at:]
-            cost = np.float32(0)
-            cost += area(refs.lower[a], refs.upper[a]) * np.float32(at)
-            cost += area(refs.lower[b], refs.upper[b]) * np.float32(n - at)
-            candidates.append((float(cost), abs(2 * at - n), axis, at, a, b))
-    *_, a, b = min(candidates, key=lambda c: c[:4])
-    return brute_force(refs, a), brute_force(refs, b)
-
-
 def nested(draft: Draft, node: int = 0) -> int | tuple:
     if draft.left[node] < 0:
         return int(draft.reference[node])
@@ -60,12 +43,12 @@ def build(corners: np.ndarray) -> Draft:
 
 
 def check(corners: np.ndarray) -> None:
-    draft = build(corners)
-    assert nested(draft) == brute_force(draft.references, list(range(len(corners))))
+    plain = plain_sweep(Triangles(corners), Options(), Context())
+    assert nested(build(corners)) == plain
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 15, 16, 17, 18, 40, 90])
-def test_equals_brute_force(n):
+def test_equals_the_plain_sweep(n):
     rng = np.random.default_rng(n)
     sizes = rng.choice([0.01, 0.1, 2.0], (n, 1, 1))
     check((rng.random((n, 1, 3)) + sizes * rng.random((n, 3, 3))).astype(np.float32))
@@ -96,11 +79,45 @@ def test_all_alike(n):
     flat=st.lists(st.integers(0, 2), max_size=3),
     seed=st.integers(0, 2**31),
 )
-def test_any_scene_equals_brute_force(n, cells, flat, seed):
+def test_any_scene_equals_the_plain_sweep(n, cells, flat, seed):
     rng = np.random.default_rng(seed)
     corners = rng.integers(-cells, cells + 1, (n, 3, 3)).astype(np.float32)
     corners[:, :, flat] = 0
     check(corners)
+
+
+def test_a_scene_gets_the_tree_of_the_plain_sweep():
+    """Through the finish too: a registered plain sweep gives the nine's tree, array by array."""
+    scene = mibvh.load("cornell@1000")
+    mibvh.builder("plain")(plain_sweep)
+    try:
+        plain, fast = mibvh.build(scene, "plain"), mibvh.build(scene, "bbvh")
+    finally:
+        del registry._registered["plain"]
+    for name in ("lower", "upper", "left", "first", "count", "references"):
+        assert np.array_equal(getattr(plain, name), getattr(fast, name)), name
+
+
+def test_the_plain_sweep_finds_the_cheapest_split():
+    """Its areas and sides against counting all ways to cut a sorted list, in float64."""
+    rng = np.random.default_rng(1)
+    triangles = Triangles(rng.random((12, 1, 3)) + 0.3 * rng.random((12, 3, 3)))
+    low, high = triangles.lower.astype(float), triangles.upper.astype(float)
+
+    def cost(ids):
+        return len(ids) * area(low[ids], high[ids])
+
+    costs = {}
+    for axis in range(3):
+        order = sorted(range(12), key=lambda i: low[i, axis] + high[i, axis])
+        for at in range(1, 12):
+            costs[tuple(sorted(order[:at]))] = cost(order[:at]) + cost(order[at:])
+    left, _ = plain_sweep(triangles, Options(), Context())
+    assert tuple(sorted(flat(left))) == min(costs, key=costs.__getitem__)
+
+
+def flat(nested):
+    return [nested] if isinstance(nested, int) else [i for part in nested for i in flat(part)]
 
 
 def test_split_by_hand():

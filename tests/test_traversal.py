@@ -110,8 +110,10 @@ def test_hits_and_counters_against_plain_python(builder, cull):
 def test_scalar_lanes_take_the_same_steps(small_soup, style):
     tree = mibvh.build(small_soup, "bbvh")
     rays = random_rays(1000, 2)
-    simd, scalar = (mibvh.trace(tree, small_soup, rays, lanes, style=style, repeats=1)
-                    for lanes in ("simd", "scalar"))  # fmt: skip
+    simd, scalar = (
+        mibvh.trace(tree, small_soup, rays, lanes, style=style, repeats=1)
+        for lanes in ("simd", "scalar")
+    )
     for name in ("t", "triangle", "inner", "leaves", "tests", "steps"):
         np.testing.assert_array_equal(getattr(simd, name), getattr(scalar, name))
     assert scalar.lane_utilisation == 1 / lane_width()
@@ -194,9 +196,12 @@ def test_degenerate_rays_hit_nothing_and_leave_their_neighbours_alone(style):
     tree = mibvh.build(box, "bbvh")
     sane = random_rays(64, 7, 0.1, 0.9)
     odd = [
-        ([np.nan, 0, 0], [0, 0, 1]), ([0.5, 0.5, 0.5], [np.nan, 0, 1]), ([0.5] * 3, [0, 0, 0]),
-        ([np.inf, 0, 0], [1, 0, 0]), ([0.5] * 3, [np.inf, 0, 0]),
-    ]  # fmt: skip
+        ([np.nan, 0, 0], [0, 0, 1]),
+        ([0.5, 0.5, 0.5], [np.nan, 0, 1]),
+        ([0.5] * 3, [0, 0, 0]),
+        ([np.inf, 0, 0], [1, 0, 0]),
+        ([0.5] * 3, [np.inf, 0, 0]),
+    ]
     both = ray_set(np.repeat(sane.o, 2, axis=0), np.repeat(sane.d, 2, axis=0))
     for i in range(64):  # a ray set is not made of such rays, but the kernel survives them
         both.o[2 * i + 1], both.d[2 * i + 1] = odd[i % len(odd)]

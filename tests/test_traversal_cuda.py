@@ -39,9 +39,12 @@ def test_hits_and_counts_are_those_of_the_simulation(tmp_path, builder, style):
     tree.save(tmp_path / "tree.npz")
     rays.save(tmp_path / "rays.npz")
     child = subprocess.run(
-        [sys.executable, "-c", _CHILD, str(tmp_path), style], capture_output=True, text=True,
-        env=os.environ | {"MIBVH_VARIANT": "cuda_ad_rgb"}, check=True,
-    )  # fmt: skip
+        [sys.executable, "-c", _CHILD, str(tmp_path), style],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"MIBVH_VARIANT": "cuda_ad_rgb"},
+        check=True,
+    )
     told = json.loads(child.stdout.splitlines()[-1])
     assert told["lanes"] == 32
     assert min(told["seconds"]) > 0

@@ -79,14 +79,16 @@ def test_rounds_are_those_of_single_rays(builder):
 def drawn():
     rng = np.random.default_rng(1)
     return Rounds(
-        rng.integers(1, 20, 4000).astype(np.uint32), np.array([5, 9, 4, 3, 2, 1, 0, 0, 1]),
+        rng.integers(1, 20, 4000).astype(np.uint32),
+        np.array([5, 9, 4, 3, 2, 1, 0, 0, 1]),
         np.array([1, 6, 3, 2]),
-    )  # fmt: skip
+    )
 
 
 def mean_round(rounds):
-    steps, tests = (float((c * np.arange(len(c))).sum() / c.sum())
-                    for c in (rounds.descents, rounds.lengths))  # fmt: skip
+    steps, tests = (
+        float((c * np.arange(len(c))).sum() / c.sum()) for c in (rounds.descents, rounds.lengths)
+    )
     return 1.2 * steps + tests
 
 
@@ -158,8 +160,16 @@ def test_rays_dealt_alike_wait_less(drawn):
 
 def test_the_benchmark_prints_its_tables(tmp_path):
     script = Path(__file__).parent.parent / "benchmarks" / "simd.py"
-    command = [sys.executable, str(script), "--keep", str(tmp_path / "simd.json"),
-               "--width", "48", "--figure", str(tmp_path / "simd.svg")]  # fmt: skip
+    command = [
+        sys.executable,
+        str(script),
+        "--keep",
+        str(tmp_path / "simd.json"),
+        "--width",
+        "48",
+        "--figure",
+        str(tmp_path / "simd.svg"),
+    ]
     told = subprocess.run(
         [*command, "cornell@300", "powerplant@300"], capture_output=True, text=True, check=True
     ).stdout

@@ -43,8 +43,9 @@ def assert_same(warps, hits, fields=("t", "triangle", *COUNTERS)):
 def test_a_warp_of_one_is_what_is_counted(scene, builder):
     triangles, rays = scene
     tree = mibvh.build(triangles, builder)
-    counted = {style: kernel_hits(tree, triangles, rays, style)
-               for style in ("single", *ALONE.values())}  # fmt: skip
+    counted = {
+        style: kernel_hits(tree, triangles, rays, style) for style in ("single", *ALONE.values())
+    }
     for style in STYLES:
         hits = counted[ALONE.get(style, "single")]
         warps = simulate(tree, triangles, rays, 1, style)
@@ -52,8 +53,9 @@ def test_a_warp_of_one_is_what_is_counted(scene, builder):
         assert warps.cost() == warps.counted_cost() == hits.counted_cost()
         assert warps.utilisation() == 1
         assert warps.lcv == hits.lcv
-    assert_same(simulate(tree, triangles, rays, 1, "speculative", vote=False),
-                counted["speculative"])  # fmt: skip
+    assert_same(
+        simulate(tree, triangles, rays, 1, "speculative", vote=False), counted["speculative"]
+    )
 
 
 @pytest.mark.parametrize("builder", ["bbvh", "sbvh", "streelet"])
@@ -204,8 +206,9 @@ def execute(tree, triangles, rays, width, style, threshold=0, per_lane=1, warps=
             return nodes, max(lengths, default=0)
         holders = [lane for lane in lanes if lane.leaf != DONE]
         while holders:  # while there is a leaf put aside
-            triangles_tested += max(lane.test(lane.leaf, rows, codes, distances)
-                                    for lane in holders)  # fmt: skip
+            triangles_tested += max(
+                lane.test(lane.leaf, rows, codes, distances) for lane in holders
+            )
             for lane in holders:
                 lane.leaf = DONE
                 if DONE < lane.node < 0:
@@ -255,10 +258,15 @@ def execute(tree, triangles, rays, width, style, threshold=0, per_lane=1, warps=
 
 
 @pytest.mark.parametrize("width", [4, 32])
-@pytest.mark.parametrize(("style", "options"), [
-    ("while-while", {}), ("speculative", {}), ("persistent", {"rays_per_lane": 3}),
-    ("persistent", {"rays_per_lane": 4, "warps": 3}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("style", "options"),
+    [
+        ("while-while", {}),
+        ("speculative", {}),
+        ("persistent", {"rays_per_lane": 3}),
+        ("persistent", {"rays_per_lane": 4, "warps": 3}),
+    ],
+)
 @pytest.mark.parametrize("builder", ["bbvh", "sbvh", "streelet"])
 def test_against_a_literal_execution(scene, builder, style, options, width):
     triangles, rays = scene
@@ -268,9 +276,15 @@ def test_against_a_literal_execution(scene, builder, style, options, width):
     scaled = ray_set(rays.o * scale, rays.d)
     threshold = {4: 3, 32: 20}[width] if style == "persistent" else 0
     issued, counts, hits = execute(
-        tree, triangles, scaled, width, style, threshold,
-        options.get("rays_per_lane", 1), options.get("warps", 1),
-    )  # fmt: skip
+        tree,
+        triangles,
+        scaled,
+        width,
+        style,
+        threshold,
+        options.get("rays_per_lane", 1),
+        options.get("warps", 1),
+    )
     warps = simulate(tree, triangles, rays, width, style, **options)
     assert warps.threshold == threshold
     # Grazing a box, a direction scaled by a power of two rounds as the unscaled one does.
@@ -353,8 +367,9 @@ def test_orders(small_soup):
     again = simulate(tree, small_soup, rays.select(shuffled.dealt), 8, "speculative")
     np.testing.assert_array_equal(shuffled.issued, again.issued)
     np.testing.assert_array_equal(shuffled.t[shuffled.dealt], again.t)
-    assert (simulate(tree, small_soup, rays, 8, order="random", seed=2).dealt
-            != shuffled.dealt).any()  # fmt: skip
+    assert (
+        simulate(tree, small_soup, rays, 8, order="random", seed=2).dealt != shuffled.dealt
+    ).any()
 
 
 def test_morton_order_is_that_of_sorted_rays(cornell):
@@ -364,8 +379,9 @@ def test_morton_order_is_that_of_sorted_rays(cornell):
     sorted_now = simulate(tree, cornell, paths, 32, order="morton")
     np.testing.assert_array_equal(paths.o[sorted_now.dealt], stored.o)
     np.testing.assert_array_equal(simulate(tree, cornell, stored, 32).issued, sorted_now.issued)
-    np.testing.assert_array_equal(simulate(tree, cornell, paths, order="path").dealt,
-                                  np.arange(len(paths)))  # fmt: skip
+    np.testing.assert_array_equal(
+        simulate(tree, cornell, paths, order="path").dealt, np.arange(len(paths))
+    )
     with pytest.raises(mibvh.MibvhError, match="sort=False"):
         simulate(tree, cornell, stored, order="path")
 
@@ -396,11 +412,14 @@ def test_only_rays_that_are_no_rays(small):
 def test_impossible_requests(small):
     tree, triangles, rays = small
     for options, message in [
-        ({"width": 3}, "width must be one of"), ({"style": "packet"}, "style must be one of"),
-        ({"order": "sorted"}, "order must be one of"), ({"fetch_below": 0}, "fetch_below"),
-        ({"warps": 0}, "warps"), ({"rays_per_lane": 0}, "rays_per_lane"),
+        ({"width": 3}, "width must be one of"),
+        ({"style": "packet"}, "style must be one of"),
+        ({"order": "sorted"}, "order must be one of"),
+        ({"fetch_below": 0}, "fetch_below"),
+        ({"warps": 0}, "warps"),
+        ({"rays_per_lane": 0}, "rays_per_lane"),
         ({"style": "single", "vote": True}, "nothing to vote on"),
-    ]:  # fmt: skip
+    ]:
         with pytest.raises(mibvh.MibvhError, match=message):
             simulate(tree, triangles, rays, **options)
     with pytest.raises(mibvh.MibvhError, match="no rays"):

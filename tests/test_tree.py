@@ -81,8 +81,9 @@ def test_validate_finds_a_leaf_that_does_not_hold_its_triangle(tree, small_soup)
 
 
 def test_validate_finds_uncovered_parts_of_a_split_triangle():
-    corners = np.array([[[0, 0, 0], [2, 0, 0], [0, 2, 0]], [[0, 0, 1], [2, 0, 1], [0, 2, 1]]],
-                       np.float32)  # fmt: skip
+    corners = np.array(
+        [[[0, 0, 0], [2, 0, 0], [0, 2, 0]], [[0, 0, 1], [2, 0, 1], [0, 2, 1]]], np.float32
+    )
     # Triangle 0 under two leaves of which each holds its half x <= 1 or x >= 1.
     whole = mibvh.Tree(
         lower=np.array([[0, 0, 0], [0, 0, 0], [1, 0, 0]], np.float32),

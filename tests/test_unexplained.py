@@ -44,10 +44,12 @@ def test_lcv_and_the_deviation_of_simd():
     simd = 0.2 * scalar * np.exp(0.1 * lcv)
 
     def record(simd_error):
-        return scene_record([
-            tree_row(lcv=v, scalar_ns=s, simd_ns=m, scalar_error=0.001, simd_error=simd_error)
-            for v, s, m in zip(lcv, scalar, simd, strict=True)
-        ])  # fmt: skip
+        return scene_record(
+            [
+                tree_row(lcv=v, scalar_ns=s, simd_ns=m, scalar_error=0.001, simd_error=simd_error)
+                for v, s, m in zip(lcv, scalar, simd, strict=True)
+            ]
+        )
 
     (row,) = simd_deviation([record(0.001)]).to_dict("records")
     assert row["explained"] == pytest.approx(1)

@@ -105,9 +105,11 @@ def test_against_a_slow_twin(name):
 def test_every_function_says_the_first_fault(small_soup, changes, said):
     tree = spoilt(mibvh.build(small_soup, "bbvh"), **changes)
     rays = mibvh.RaySet(
-        np.zeros((4, 3), np.float32), np.ones((4, 3), np.float32), np.ones(4, np.float32),
+        np.zeros((4, 3), np.float32),
+        np.ones((4, 3), np.float32),
+        np.ones(4, np.float32),
         *np.zeros((3, 4), np.int32),
-    )  # fmt: skip
+    )
     for use in (
         lambda: mibvh.sah(tree),
         lambda: mibvh.epo(tree, small_soup),
@@ -165,9 +167,13 @@ def test_a_tree_with_children_of_two_parents():
     box = np.zeros((5, 3), np.float32)
     left = np.array([1, 3, 3, -1, -1], np.int32)
     tree = mibvh.Tree(
-        box, box, left, np.array([0, 0, 1, 0, 1], np.int32), np.array([2, 1, 1, 1, 1], np.int32),
+        box,
+        box,
+        left,
+        np.array([0, 0, 1, 0, 1], np.int32),
+        np.array([2, 1, 1, 1, 1], np.int32),
         np.arange(2, dtype=np.int32),
-    )  # fmt: skip
+    )
     assert len(tree.validate()) == 1
 
 
@@ -227,9 +233,10 @@ def test_coverage_of_split_triangles_against_a_grid_of_points(pipes, name):
     times = np.bincount(tree.references, minlength=len(triangles))
     rng = np.random.default_rng(1)
     leaves = [
-        n for n in np.flatnonzero(tree.is_leaf)
+        n
+        for n in np.flatnonzero(tree.is_leaf)
         if (times[tree.references[tree.first[n] : tree.first[n] + tree.count[n]]] > 1).all()
-    ]  # fmt: skip
+    ]
     found = 0
     for n in rng.choice(leaves, 12, replace=False):
         axis = int((tree.upper[n] - tree.lower[n]).argmax())

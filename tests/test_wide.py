@@ -4,68 +4,86 @@ from conftest import closed_box, soup
 from test_traversal import random_rays, ray_set
 
 import mibvh
-from mibvh.traversal.collapse import LARGEST, WIDTH, collapse
-from mibvh.traversal.records import make_records, unit_scale
+from mibvh.traversal.records import ROW, make_records, unit_scale
 from mibvh.traversal.schedule import Schedule, issued_by_bursts
+from mibvh.traversal.wide_rows import LARGEST, SPAN, as_wide, wide_rows
+from mibvh.traversal.wide_walk import node_visits, walk_wide_tree
 
 
-def wide_tree(triangles, builder="bbvh"):
-    tree = mibvh.build(triangles, builder)
-    scale = unit_scale(triangles)
-    corners = triangles.corners * scale
-    collapsed = collapse(tree, corners, tree.lower * scale, tree.upper * scale)
-    shapes = np.zeros((len(tree.references), 16), np.float32)
+def rows_of(wide, triangles):
+    shapes = np.zeros((len(wide.references), ROW), np.float32)
     shapes[:, 0] = np.arange(len(shapes)) + 1  # each row tells which it is
-    rows, root, depth = collapsed.rows(shapes)
-    return tree, corners, rows, root, depth
+    return wide_rows(wide, shapes, unit_scale(triangles))
 
 
-def children(row):
-    """Row numbers, inner ones first, how many those are, and the boxes on their grid."""
+def small_children(row):
+    """First row, how many inner children, and the boxes on their grid by place."""
     bits = row.view(np.uint32)
-    base, inner = int(bits[3] & (1 << 28) - 1), int(bits[3] >> 28)
     grid = 2.0 ** (LARGEST - 8 - (bits[:3] & 63).astype(int))
-    planes = bits[4:].view(np.uint8).reshape(2, 3, WIDTH)  # little-endian
+    planes = bits[4:].view(np.uint8).reshape(2, 3, 8)  # little-endian
     present = planes[0, 0] <= planes[1, 0]
-    boxes = row[:3, None].astype(float) + planes * grid[:, None]
-    return base + np.arange(present.sum()), inner, boxes[:, :, present]
+    origin = (bits[:3] & ~np.uint32(63)).view(np.float32).astype(float)
+    boxes = origin[:, None] + planes * grid[:, None]
+    return bits[3], boxes[:, :, present]
+
+
+def plain_children(rows, order, width):
+    """The same of a node with float32 boxes."""
+    bits = rows.view(np.uint32).ravel()
+    planes = rows.ravel()[: 6 * width].reshape(2, 3, width).astype(float)
+    present = np.isfinite(planes[0, 0])
+    places = [int(order >> 4 * i & 7) for i in range(present.sum())]
+    assert bits[6 * width + 1] == order
+    return bits[6 * width], planes[:, :, :][:, :, np.argsort(places)]
 
 
 @pytest.mark.parametrize("builder", ["bbvh", "sbvh", "lbvh"])
-def test_every_reference_is_below_boxes_that_hold_it(builder):
+@pytest.mark.parametrize("width", [2, 4, 8])
+@pytest.mark.parametrize("small", [False, True])
+def test_rows_hold_the_tree(builder, width, small):
     triangles = soup(300, 3, size=0.3)
-    tree, corners, rows, root, depth = wide_tree(triangles, builder)
+    wide = mibvh.collapse(mibvh.build(triangles, builder), width)
+    wide = mibvh.quantised(wide) if small else wide
+    rows, order, root = rows_of(wide, triangles)
+    span = 1 if small else SPAN[width]
+    scale = float(unit_scale(triangles))
     assert root == 1
-    found, deepest = [], 0
-    todo = [(0, 0, np.full(3, -np.inf), np.full(3, np.inf))]
+    assert len(rows) == len(wide.references) + span * (~wide.is_leaf).sum()
+    todo = [(0, 0)]
     while todo:
-        at, level, low, high = todo.pop()
-        deepest = max(deepest, level)
-        ids, inner, boxes = children(rows[at])
-        assert len(ids) >= 2
-        for i, child in enumerate(ids):
-            lower, upper = np.maximum(low, boxes[0, :, i]), np.minimum(high, boxes[1, :, i])
-            if i < inner:
-                todo.append((child, level + 1, lower, upper))
-                continue
-            reference = int(rows[child, 0]) - 1
-            found.append(reference)
-            if not tree.splits_triangles:
-                corner = corners[tree.references[reference]]
-                assert (lower < corner.min(0)).all()
-                assert (corner.max(0) < upper).all()
-    assert sorted(found) == list(range(len(tree.references)))
-    assert deepest == depth
-    assert len(rows) < 1.5 * len(found)  # nodes are full
+        node, at = todo.pop()
+        if wide.child[node] < 0:
+            found = []
+            while not found or at:
+                found.append(int(rows[at, 0]) - 1)
+                at = rows[at].view(np.int32)[13]
+            assert found == list(range(wide.first[node], wide.first[node] + wide.count[node]))
+            continue
+        if small:
+            word, boxes = small_children(rows[at])
+        else:
+            word, boxes = plain_children(rows[at : at + span], order[at], width)
+        base, inner = int(word & (1 << 28) - 1), int(word >> 28)
+        group = wide.child[node] + np.arange(wide.children[node])
+        assert inner == (wide.child[group] >= 0).sum()
+        for i, child in enumerate(group):
+            entry = int(order[at] >> 4 * i) & 15
+            assert entry >> 3 == 1
+            place = entry & 7
+            assert (place < inner) == (wide.child[child] >= 0)
+            np.testing.assert_array_equal(boxes[0, :, place], wide.lower[child] * scale)
+            np.testing.assert_array_equal(boxes[1, :, place], wide.upper[child] * scale)
+            todo.append((child, base + place + (span - 1) * min(place, inner)))
 
 
-def test_leaves_of_many_coinciding_triangles():
-    one = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], np.float32)
-    many = mibvh.Triangles(np.repeat(one, 100, axis=0))
-    tree = mibvh.build(many, "bbvh")
-    rays = ray_set([[0.2, 0.2, -1], [0.9, 0.9, -1]], [[0, 0, 1], [0, 0, 1]])
-    hits = mibvh.trace(tree, many, rays, style="wide", repeats=1)
-    assert hits.t.tolist() == [1.0, np.inf]
+def test_a_binary_tree_is_collapsed_to_full_nodes_of_single_triangles():
+    triangles = soup(300, 3, size=0.3)
+    wide = as_wide(mibvh.build(triangles, "sbvh"), triangles)
+    assert wide.quantised
+    assert (wide.count[wide.is_leaf] == 1).all()
+    assert wide.validate(triangles) == []
+    assert (~wide.is_leaf).sum() < 0.5 * wide.is_leaf.sum()
+    assert as_wide(wide, triangles) is wide
 
 
 @pytest.mark.parametrize("builder", ["bbvh", "sbvh", "lbvh"])
@@ -80,6 +98,146 @@ def test_same_hits_as_the_binary_kernel_in_fewer_steps(builder):
     assert wide.inner.sum() < 0.6 * binary.inner.sum()
     np.testing.assert_array_equal(wide.leaves, wide.tests)
     assert (binary.style, wide.style) == ("single", "wide")
+
+
+@pytest.fixture(scope="module")
+def room():
+    """A room of large walls and small things, with trees that split triangles, and its rays."""
+    scene = mibvh.load("livingroom@2000")
+    rays = mibvh.diffuse_rays(scene, width=60, height=40, samples=1)
+    trees = {name: mibvh.build(scene, name) for name in ("sbvh", "streelet", "lbvh")}
+    assert trees["sbvh"].splits_triangles
+    return scene, rays, trees
+
+
+COUNTERS = ("inner", "boxes", "leaves", "tests")
+
+
+@pytest.mark.parametrize("builder", ["sbvh", "streelet", "lbvh"])
+@pytest.mark.parametrize("width", [2, 4, 8])
+@pytest.mark.parametrize("small", [False, True])
+@pytest.mark.parametrize("lanes", ["simd", "scalar"])
+def test_hits_are_the_binary_kernels_and_counters_the_slow_twins(
+    room, builder, width, small, lanes
+):
+    scene, rays, trees = room
+    wide = mibvh.collapse(trees[builder], width)
+    wide = mibvh.quantised(wide) if small else wide
+    binary = mibvh.trace(trees[builder], scene, rays, repeats=1)
+    hits = mibvh.trace(wide, scene, rays, lanes, style="wide", repeats=1)
+    np.testing.assert_array_equal(hits.t, binary.t)
+    assert (hits.triangle != binary.triangle).mean() < 1e-3  # two at one distance
+    walk = walk_wide_tree(wide, scene, rays, steps=True)
+    np.testing.assert_array_equal(hits.t, walk.t)
+    np.testing.assert_array_equal(hits.triangle, walk.triangle)
+    for name in COUNTERS:
+        np.testing.assert_array_equal(getattr(hits, name), getattr(walk, name))
+    np.testing.assert_array_equal(hits.steps, hits.inner + hits.tests)
+    assert (hits.leaves <= hits.tests).all()
+    assert (hits.leaves < hits.tests).any()
+    # -- what the twin tells of its steps adds up to what it counts
+    inner = walk.steps >= 0
+    ray = np.repeat(np.arange(len(rays)), np.diff(walk.starts))
+    np.testing.assert_array_equal(np.bincount(ray[inner], minlength=len(rays)), walk.inner)
+    np.testing.assert_array_equal(np.bincount(ray[~inner], minlength=len(rays)), walk.tests)
+    boxes = np.bincount(ray[inner], wide.children[walk.steps[inner]], len(rays))
+    np.testing.assert_array_equal(boxes, walk.boxes)
+    starts = set(wide.first[wide.is_leaf].tolist())
+    leaves = np.array([place in starts for place in ~walk.steps[~inner]])
+    np.testing.assert_array_equal(np.bincount(ray[~inner], leaves, len(rays)), walk.leaves)
+
+
+@pytest.mark.parametrize("builder", ["sbvh", "streelet", "lbvh"])
+def test_width_two_costs_what_the_binary_kernel_does(room, builder):
+    scene, rays, trees = room
+    for any_hit in (False, True):
+        binary = mibvh.trace(trees[builder], scene, rays, any_hit=any_hit, repeats=1)
+        wide = mibvh.trace(mibvh.collapse(trees[builder], 2), scene, rays, style="wide",
+                           any_hit=any_hit, repeats=1)  # fmt: skip
+        for name in ("t", "triangle", *COUNTERS):
+            np.testing.assert_array_equal(getattr(wide, name), getattr(binary, name))
+        assert wide.counted_cost() == binary.counted_cost()
+        assert wide.counted_cost(2.0, 0.7) == binary.counted_cost(2.0, 0.7)
+        assert wide.lcv == binary.lcv
+
+
+@pytest.mark.parametrize("width", [4, 8])
+@pytest.mark.parametrize("small", [False, True])
+@pytest.mark.parametrize("order", [None, "area", "random"])
+def test_any_hit_rays_in_every_order(room, width, small, order):
+    scene, rays, trees = room
+    reach = np.random.default_rng(1).uniform(0, 4, len(rays)).astype(np.float32)
+    rays = mibvh.RaySet(rays.o, rays.d, reach, rays.viewpoint, rays.bounce, rays.source, rays.meta)
+    closest = mibvh.trace(trees["sbvh"], scene, rays, repeats=1)
+    wide = mibvh.collapse(trees["sbvh"], width)
+    wide = mibvh.quantised(wide) if small else wide
+    if order == "area":
+        wide = wide.ordered(wide.half_areas)
+    if order == "random":
+        wide = wide.ordered(np.random.default_rng(2).random(len(wide)))
+    hits = mibvh.trace(wide, scene, rays, style="wide", any_hit=True, repeats=1)
+    np.testing.assert_array_equal(np.isfinite(hits.t), np.isfinite(closest.t))
+    assert 0.1 < np.isfinite(hits.t).mean() < 0.9
+    walk = walk_wide_tree(wide, scene, rays, any_hit=True)
+    for name in ("t", "triangle", *COUNTERS):
+        np.testing.assert_array_equal(getattr(hits, name), getattr(walk, name))
+    # Rays that meet nothing visit the same nodes in any order.
+    plain = walk_wide_tree(wide.replace(meta={}), scene, rays, any_hit=True)
+    missed = ~np.isfinite(hits.t)
+    np.testing.assert_array_equal(plain.inner[missed], walk.inner[missed])
+    assert (plain.inner != walk.inner).any() == (order is not None)
+
+
+def test_collapsing_by_visits_is_cheaper_for_such_rays(room):
+    scene, rays, trees = room
+    seen, unseen = (rays.select(slice(first, None, 2)) for first in (0, 1))
+    tree = trees["lbvh"]
+    visits = node_visits(tree, scene, seen)
+    binary = mibvh.trace(tree, scene, seen, repeats=1)
+    assert visits[~tree.is_leaf].sum() == pytest.approx(binary.inner.mean(), rel=1e-12)
+    assert visits[tree.is_leaf].sum() == pytest.approx(binary.leaves.mean(), rel=1e-12)
+    tests = (visits * tree.count)[tree.is_leaf].sum()
+    assert tests == pytest.approx(binary.tests.mean(), rel=1e-12)
+    assert visits[0] == 1
+    assert visits.max() == 1
+    costs = [
+        mibvh.trace(mibvh.collapse(tree, 8, weights=weights), scene, unseen, style="wide",
+                    repeats=1).counted_cost()
+        for weights in (None, visits)
+    ]  # fmt: skip
+    assert costs[1] < costs[0]
+    wide = mibvh.collapse(tree, 8)
+    hits = mibvh.trace(wide, scene, seen, style="wide", repeats=1)
+    inner = node_visits(wide, scene, seen)[~wide.is_leaf]
+    assert inner.sum() == pytest.approx(hits.inner.mean(), rel=1e-12)
+
+
+def test_counted_cost_of_wide_nodes_by_hand(room):
+    scene, rays, trees = room
+    wide = mibvh.collapse(trees["sbvh"], 8)
+    hits = mibvh.trace(wide, scene, rays, style="wide", repeats=1)
+    walk = walk_wide_tree(wide, scene, rays, steps=True)
+    inner = walk.steps[walk.steps >= 0]
+    by_node = (
+        1.2 * len(inner) + 0.2 * (wide.children[inner] - 2).sum() + len(walk.steps) - len(inner)
+    )
+    assert hits.counted_cost() == pytest.approx(by_node / len(rays), rel=1e-12)
+    assert hits.counted_cost(c_box=0.0) < hits.counted_cost()
+    assert hits.lcv == pytest.approx(np.std(walk.leaves.astype(float)), rel=1e-12)
+
+
+@pytest.mark.parametrize("small", [False, True])
+def test_wide_trees_of_one_leaf_and_of_many_coinciding_triangles(small):
+    one = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], np.float32)
+    rays = ray_set([[0.2, 0.2, -1], [0.9, 0.9, -1]], [[0, 0, 1], [0, 0, 1]])
+    for times in (1, 3, 100):
+        many = mibvh.Triangles(np.repeat(one, times, axis=0))
+        wide = mibvh.collapse(mibvh.build(many, "bbvh"), 8)
+        wide = mibvh.quantised(wide) if small else wide
+        hits = mibvh.trace(wide, many, rays, style="wide", repeats=1)
+        assert hits.t.tolist() == [1.0, np.inf]
+        walk = walk_wide_tree(wide, many, rays)
+        np.testing.assert_array_equal(hits.tests, walk.tests)
 
 
 def test_flat_boxes_far_from_the_origin_are_not_lost():
@@ -131,6 +289,8 @@ def test_impossible_requests():
     rays = random_rays(4)
     with pytest.raises(mibvh.MibvhError, match="style must be one of"):
         mibvh.trace(tree, triangles, rays, style="narrow")
+    with pytest.raises(mibvh.MibvhError, match="a wide tree is traced in the wide style"):
+        mibvh.trace(mibvh.collapse(tree, 4), triangles, rays, repeats=1)
     with pytest.raises(mibvh.MibvhError, match="leave cull off"):
         mibvh.trace(tree, triangles, rays, style="wide", cull=True)
     from mibvh.traversal.trace import Tracer

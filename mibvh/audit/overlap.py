@@ -12,6 +12,7 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.audit.record import Check
+from mibvh.parallel import run_blocks
 from mibvh.tree import Tree
 from mibvh.triangles import F32, F64, I32, Triangles
 
@@ -70,12 +71,11 @@ def estimates(tree: Tree, triangles: Triangles, points: int = _POINTS, seed: int
     (groups,) float64
         Independent estimates; their mean is the best one.
     """
-    leaf_of = np.empty(len(tree.references), np.int64)
-    for node in np.flatnonzero(tree.left < 0):
-        leaf_of[tree.first[node] : tree.first[node] + tree.count[node]] = node
+    in_order = np.flatnonzero(tree.left < 0)
+    in_order = in_order[np.argsort(tree.first[in_order])]
+    leaf_of = np.repeat(in_order, tree.count[in_order])
     order = np.argsort(tree.references, kind="stable")
     begin = np.searchsorted(tree.references[order], np.arange(len(triangles) + 1))
-    rng = np.random.default_rng([seed, 20])
     corners = triangles.corners.astype(np.float64)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     # In the order of the leaves, a regular walk through the surface visits every region in
@@ -85,15 +85,20 @@ def estimates(tree: Tree, triangles: Triangles, points: int = _POINTS, seed: int
     along = np.cumsum(np.linalg.norm(normal[walk], axis=1))
     if not along[-1] > 0:
         return np.zeros(_GROUPS)
+    costs, parents, leaves = _node_costs(tree), _parents(tree.left), leaf_of[order]
     found = np.empty(_GROUPS)
-    for group in range(_GROUPS):
+
+    def estimate(_worker: int, group: int, _end: int) -> None:
+        rng = np.random.default_rng([seed, 20, group])
         place = (np.arange(points) + rng.random()) / points * along[-1]
         chosen = walk[np.minimum(np.searchsorted(along, place, side="right"), len(walk) - 1)]
         chosen = np.sort(chosen)
         found[group] = _points_cost(
-            tree.lower, tree.upper, tree.left, _node_costs(tree), _parents(tree.left),
-            leaf_of[order], begin, chosen, _on_triangles(triangles.corners[chosen], rng),
+            tree.lower, tree.upper, tree.left, costs, parents, leaves, begin, chosen,
+            _on_triangles(triangles.corners[chosen], rng),
         ) / points  # fmt: skip
+
+    run_blocks(estimate, _GROUPS, 1)
     return found
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import importlib
 import time
 from collections.abc import Callable
@@ -235,12 +234,18 @@ def get(name: str) -> Builder:
     return _registered[name]
 
 
-@functools.cache
-def _warm_up(name: str) -> None:
+#: Builders that have run in this process, so that nothing of theirs is left to compile.
+_warm: set[str] = set()
+
+
+def _warm_up(name: str, progress: Callable[[str, float], None]) -> None:
     """Run one of the paper's builders once on next to nothing.
 
     So the seconds reported for a tree hold no compilation, nor the loading of compiled code.
     """
+    if name in _warm:
+        return
+    progress("compiling", 0.0)
     if name in _BUNDLED or name in _LATER:
         corners = np.random.default_rng(0).random((24, 3, 3))
         triangles = Triangles(corners.astype(np.float32), "warm-up")
@@ -248,6 +253,7 @@ def _warm_up(name: str) -> None:
         chosen = entry.options()
         draft = entry.draft(triangles, chosen, Context())
         finish(draft, c_inner=1.2, c_tri=1.0, max_leaf=8, meta={"triangles": len(triangles)})
+    _warm.add(name)
 
 
 def build(
@@ -290,7 +296,8 @@ def build(
         )
     chosen = entry.options(**options)
     context = Context(progress) if progress else Context()
-    _warm_up(builder)
+    _warm_up(builder, context.progress)
+    context.progress("building", 0.0)
     started = time.perf_counter()
     draft = entry.draft(triangles, chosen, context)
     meta = {

@@ -40,7 +40,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from mibvh._jit import njit
+from mibvh._jit import in_parallel, njit
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.planes import best_plane, new_bins
 from mibvh.builders.radix import argsort_keys, float_keys
@@ -524,7 +524,7 @@ def sbvh(triangles: Triangles, options: SpatialOptions, context: Context) -> Dra
     room = n + slack
     lists = np.empty((6 * room, 8), np.float32)
     context.progress("sort", 0.0)
-    sort_axes(refs.lower, refs.upper, lists)
+    in_parallel(sort_axes, refs.lower, refs.upper, lists)
     x, y, z = (refs.upper.max(axis=0) - refs.lower.min(axis=0)).tolist()
     rules = (
         options.bins,

@@ -20,7 +20,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from mibvh._jit import njit
+from mibvh._jit import in_parallel, njit
 from mibvh.builders.draft import References
 from mibvh.errors import MibvhError
 from mibvh.triangles import F32, Triangles
@@ -272,14 +272,11 @@ def _priorities(corners, scale, boxes, origin, extent):
     return out
 
 
-@njit(parallel=True)
+@njit
 def _splits_at(priorities, factor):
-    """Total splits when triangle t gets ``floor(factor * p_t)`` of them.
-
-    Whole numbers, so the sum is the same on any number of threads.
-    """
+    """Total splits when triangle t gets ``floor(factor * p_t)`` of them."""
     total = 0.0
-    for t in numba.prange(len(priorities)):
+    for t in range(len(priorities)):
         total += math.floor(factor * priorities[t])
     return total
 
@@ -424,12 +421,13 @@ def presplit(triangles: Triangles, beta: float = 0.3) -> References:
     extent = whole.upper.max(axis=0).astype(np.float64) - origin
     scene: tuple[Any, ...] = (triangles.corners, whole.scale)
     boxes = pack_boxes(whole)
-    priorities = _priorities(*scene, boxes, origin, extent)
+    priorities = in_parallel(_priorities, *scene, boxes, origin, extent)
     factor = _factor_for(priorities, math.floor(beta * n))
     room = int(_splits_at(priorities, factor))
     boxes = np.concatenate([boxes, np.zeros((room, 8), np.float32)])
     triangle = np.concatenate([whole.triangle, np.zeros(room, np.int32)])
-    used = _split_all(*scene, boxes, triangle, priorities, factor, origin, extent)
+    arrays = (*scene, boxes, triangle, priorities, factor, origin, extent)
+    used = in_parallel(_split_all, *arrays)
     return References(
         boxes[:used, 0:3].copy(), -boxes[:used, 4:7], triangle[:used].copy(), whole.scale
     )

@@ -28,7 +28,7 @@ import functools
 import numba
 import numpy as np
 
-from mibvh._jit import njit
+from mibvh._jit import in_parallel, njit
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.radix import argsort_keys, float_keys
 from mibvh.builders.registry import Context, Options, builder
@@ -397,7 +397,7 @@ def bbvh(triangles: Triangles, options: Options, context: Context) -> Draft:
     refs = References.of(triangles)
     lists = np.empty((6 * len(refs), 8), np.float32)
     context.progress("sort", 0.0)
-    sort_axes(refs.lower, refs.upper, lists)
+    in_parallel(sort_axes, refs.lower, refs.upper, lists)
     links = tuple(np.empty(2 * len(refs) - 1, np.int32) for _ in range(3))
     _build(lists, links, context)
     return Draft(refs, *links)

@@ -39,7 +39,7 @@ import itertools
 import numba
 import numpy as np
 
-from mibvh._jit import njit
+from mibvh._jit import in_parallel, njit
 from mibvh.builders import lanes
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.registry import Context, Options, builder, option
@@ -600,7 +600,7 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
         cuts = np.searchsorted(ends, np.arange(0, len(left) + _STEP, _STEP))
         for begin, end in itertools.pairwise(cuts):
             if begin < end:
-                done = _improve_subtrees(roots[begin:end], least, *arrays)
+                done = in_parallel(_improve_subtrees, roots[begin:end], least, *arrays)
                 looked, rebuilt = looked + int(done[0]), rebuilt + int(done[1])
                 context.progress("treelets", (turn + end / len(roots)) / rounds)
         begin = 0

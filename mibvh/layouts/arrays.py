@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
-from mibvh.tree import Tree
+from mibvh.nodes import Nodes
 
 I64 = npt.NDArray[np.int64]
 
@@ -23,7 +23,7 @@ _FAULTS = {
 }
 
 
-def from_arrays(
+def renumbered(
     lower: Any,
     upper: Any,
     left: Any,
@@ -34,8 +34,8 @@ def from_arrays(
     *,
     root: int | None = None,
     name: str = "imported",
-) -> Tree:
-    """Make a tree; see :meth:`mibvh.Tree.from_arrays`."""
+) -> tuple[Any, ...]:
+    """Return the arrays and the metadata of a tree; see :meth:`mibvh.Tree.from_arrays`."""
     left = _integers("left", left)
     nodes = len(left)
     if nodes == 0:
@@ -52,27 +52,31 @@ def from_arrays(
         left, right, first, count, len(ids), start
     )
     if fault:
-        raise MibvhError(_FAULTS[fault].format(
-            node=n, left=left[n], right=right[n], nodes=nodes, first=first[n], count=count[n],
-            references=len(ids),
-        ))  # fmt: skip
+        raise MibvhError(
+            _FAULTS[fault].format(
+                node=n,
+                left=left[n],
+                right=right[n],
+                nodes=nodes,
+                first=first[n],
+                count=count[n],
+                references=len(ids),
+            )
+        )
     found = ids[taken]
     meta = {"builder": name, "options": {}, "c_inner": 1.2, "c_tri": 1.0, "report": {}}
     if triangles := _dense(found):
         meta["triangles"] = triangles
-    tree = Tree(lower[order], upper[order], child, starts, counts, found, meta)
-    tree.check()
-    return tree
+    return lower[order], upper[order], child, starts, counts, found, meta
 
 
-def to_arrays(tree: Tree) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of a tree; see :meth:`mibvh.Tree.to_arrays`."""
-    tree.check()
+def to_arrays(tree: Nodes) -> dict[str, npt.NDArray[Any]]:
+    """Arrays of a sound tree; see :meth:`mibvh.Tree.to_arrays`."""
     return {
         "lower": tree.lower,
         "upper": tree.upper,
         "left": tree.left,
-        "right": np.where(tree.is_leaf, -1, tree.left + 1).astype(np.int32),
+        "right": np.where(tree.left < 0, -1, tree.left + 1).astype(np.int32),
         "first": tree.first,
         "count": tree.count,
         "references": tree.references,
@@ -202,6 +206,11 @@ def _renumber(left, right, first, count, references, root):
             if c >= 0:
                 starts[place], counts[place] = starts[c], counts[c] + counts[c + 1]
     return (
-        fault, at, order[:used], child[:used].copy(), starts[:used].copy(), counts[:used].copy(),
+        fault,
+        at,
+        order[:used],
+        child[:used].copy(),
+        starts[:used].copy(),
+        counts[:used].copy(),
         taken[:written],
-    )  # fmt: skip
+    )

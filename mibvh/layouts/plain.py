@@ -18,9 +18,15 @@ from mibvh.tree import Tree
 
 MAGIC = b"MIBVH\x01\r\n"
 NODE = np.dtype(
-    [("lower", "<f4", 3), ("upper", "<f4", 3), ("left", "<i4"), ("right", "<i4"),
-     ("first", "<i4"), ("count", "<i4")]
-)  # fmt: skip
+    [
+        ("lower", "<f4", 3),
+        ("upper", "<f4", 3),
+        ("left", "<i4"),
+        ("right", "<i4"),
+        ("first", "<i4"),
+        ("count", "<i4"),
+    ]
+)
 
 
 def parse(data: bytes) -> dict[str, Any]:

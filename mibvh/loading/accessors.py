@@ -134,9 +134,13 @@ class Accessors:
             where["bufferView"], where.get("byteOffset", 0), count, 1, dtype, index
         )
         new = self._strided(
-            what["bufferView"], what.get("byteOffset", 0), count, values.shape[1], values.dtype,
+            what["bufferView"],
+            what.get("byteOffset", 0),
+            count,
+            values.shape[1],
+            values.dtype,
             index,
-        )  # fmt: skip
+        )
         rows = rows[:, 0].astype(np.int64)
         if len(rows) and rows.max() >= len(values):
             raise Refused(f"accessor {index} overrides values that it does not have")

@@ -20,8 +20,17 @@ from mibvh.triangles import F64
 DRACO, INSTANCING = "KHR_draco_mesh_compression", "EXT_mesh_gpu_instancing"
 #: Extensions that are read, and kinds of them that say nothing of the surface.
 _READ = {"KHR_mesh_quantization", DRACO, INSTANCING}
-_NO_SURFACE = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "EXT_lights_",
-               "KHR_xmp", "KHR_animation_", "KHR_audio", "MSFT_texture_")  # fmt: skip
+_NO_SURFACE = (
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "KHR_lights_",
+    "EXT_lights_",
+    "KHR_xmp",
+    "KHR_animation_",
+    "KHR_audio",
+    "MSFT_texture_",
+)
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 

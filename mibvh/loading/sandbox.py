@@ -50,9 +50,13 @@ def try_to_load(source: str | os.PathLike[str], limit: float = LIMIT) -> None:
     around = {**os.environ, VARIABLE: "0", "PYTHONPATH": os.pathsep.join(paths)}
     try:
         ran = subprocess.run(
-            command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=around, timeout=limit,
+            command,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            env=around,
+            timeout=limit,
             check=False,
-        )  # fmt: skip
+        )
     except subprocess.TimeoutExpired:
         raise MibvhError(f"{name}: was not loaded within {limit:g} seconds") from None
     lines = ran.stderr.decode("utf-8", "replace").strip().splitlines()

@@ -13,12 +13,12 @@ _ROW = 36
 
 
 class Polygons(NamedTuple):
-    """Room for polygons, a row each. Rows lie end to end, as constant strides are faster.
+    """Memory for polygons, one row each. Rows lie end to end: constant strides are faster.
 
     Attributes
     ----------
-    corners : (rows * 30,) float64
-        Up to ten corners.
+    corners : (rows * 36,) float64
+        Up to twelve corners.
     limits : (rows * 6,) float64
         Each polygon's box, lower corner first; it may be larger than the polygon.
     count : (rows,) int64
@@ -33,7 +33,7 @@ class Polygons(NamedTuple):
 
 
 def room(rows: int) -> Polygons:
-    """Return room for so many polygons."""
+    """Allocate memory for a number of polygons."""
     return Polygons(
         corners=np.zeros(rows * _ROW),
         limits=np.zeros(rows * 6),
@@ -109,12 +109,12 @@ def measure(polygons, row, n):
 def clip(polygons, row, box, node, spare):
     """Clip the polygon in a row by the planes of a node's box that cut the polygon's own box.
 
-    The rows ``spare`` and ``spare + 1`` are written in turn. Returns the row that holds the
-    result, unmeasured unless it is the one given, and its corner count, below three for nothing
-    left.
+    The rows ``spare`` and ``spare + 1`` are written in turn. Returns the row of the result and its
+    corner count, which is below three if nothing is left. The result is not measured, unless it
+    is the given row.
     """
-    # The box of what is left may no longer cross the next planes; that of the polygon given is
-    # used to the end, as cutting in vain costs less than measuring.
+    # What is left may no longer cross the next planes. The box of the given polygon is used all the
+    # same: a clip without effect costs less than measuring the box again.
     limits, given = polygons.limits, 6 * row
     n = polygons.count[row]
     for plane in range(6):

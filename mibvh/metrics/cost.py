@@ -1,4 +1,4 @@
-"""What a study keeps of a tree's SAH and EPO."""
+"""SAH and EPO of a tree, as a study records them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mibvh.metrics.sah import node_costs, sah_per_node
 def _cost(subject: Subject) -> dict[str, float]:
     tree, found = subject.tree, subject.overlap
     inner, sizes = ~tree.is_leaf, tree.count * tree.is_leaf
-    # With the cost constants left out, so that others can be tried.
+    # Without the cost constants, so that others can be tried.
     area = sah_per_node(tree, 1.0, 1.0) / np.where(tree.is_leaf, tree.count, 1)
     fragments = found.fraction
     if tree.splits_triangles:

@@ -7,9 +7,9 @@ exclusion), so that a spatial partition has an EPO of zero.
 
 The walk (:mod:`mibvh.metrics.overlap_walk`) goes triangle by triangle through the subtrees beside
 the triangle's own paths. The part of the triangle inside a node is clipped from the part inside
-that node's parent, so that most clips cut a small polygon by one or two planes, and one inside a
-box is not clipped. Areas are summed as 64-bit integers in units of 2**-60 of the total, so that
-the result is the same to the last bit for any number of threads.
+that node's parent: most clips cut a small polygon by one or two planes, and a polygon inside a
+box is not clipped. Areas are summed as 64-bit integers in units of 2**-60 of the total, so the
+result is bit-identical for any number of threads.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from mibvh.metrics.sah import node_costs
 from mibvh.parallel import run_blocks, thread_count
 from mibvh.tree import Tree
 from mibvh.triangles import F64, as_triangles
+from mibvh.wide_tree import WideTree
 
 #: Areas are accumulated as integers in these units of the total area.
 _UNIT = 2.0**-60
@@ -45,7 +46,7 @@ class OverlapResult:
         Share of all surface (or of all ray ends, if weighted) that is foreign to each node
         and lies in its box.
     pairs : int
-        Overlapping (triangle, foreign node) pairs of positive area: what the time goes with.
+        Overlapping (triangle, foreign node) pairs of positive area; time is proportional to them.
     visits : int
         Boxes tested.
     clips : int
@@ -59,7 +60,7 @@ class OverlapResult:
 
 
 def overlap(
-    tree: Tree,
+    tree: Tree | WideTree,
     triangles: Any,
     *,
     weights: npt.ArrayLike | None = None,
@@ -67,19 +68,19 @@ def overlap(
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> OverlapResult:
-    """Measure, for every node, the share of the surfaces that is foreign and in its box.
+    """Measure for every node which share of the surfaces is foreign and in its box.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles or (N, 3, 3) array
     weights : (N,) array, optional
         Density of ray ends on each triangle, up to a factor; by default the same on all, as
         in the paper.
     fragments : bool
-        For trees with split triangles, the other reading of "not in the subtree": a reference
-        owns only the part of its triangle that lies in its leaf's box, and what other parts of
-        the same triangle have in a node counts as foreign to it.
+        For trees with split triangles, the other reading of "not in the subtree". A reference
+        owns only the part of its triangle that lies in its leaf's box; other parts of the same
+        triangle count as foreign.
     threads : int, optional
         The result is the same to the last bit for any number.
     progress : callable, optional
@@ -94,11 +95,21 @@ def overlap(
     MibvhError
         If the tree was built for another geometry, or a weight is missing or negative.
     """
+    if isinstance(tree, WideTree):
+        found = overlap(
+            tree.binary,
+            triangles,
+            weights=weights,
+            fragments=fragments,
+            threads=threads,
+            progress=progress,
+        )
+        return dataclasses.replace(found, fraction=found.fraction[tree.binary.place])
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
     density = np.ones(len(triangles)) if weights is None else np.asarray(weights, np.float64)
     if density.shape != (len(triangles),) or not (density >= 0).all():
-        raise MibvhError(f"weights need {len(triangles)} numbers that are not negative")
+        raise MibvhError(f"weights must be {len(triangles)} non-negative numbers")
     total = float((density * triangles.areas).sum())
     if not total > 0:
         return OverlapResult(np.zeros(len(tree)), 0, 0, 0)
@@ -120,16 +131,27 @@ def overlap(
 
     def work(worker: int, begin: int, end: int) -> None:
         counts[worker] += walk(
-            begin, end, walked, fragments, triangles.corners, density, starts, positions,
-            tree.references, nodes, unit, work_on[worker], sums[worker],
-        )  # fmt: skip
+            begin,
+            end,
+            walked,
+            fragments,
+            triangles.corners,
+            density,
+            starts,
+            positions,
+            tree.references,
+            nodes,
+            unit,
+            work_on[worker],
+            sums[worker],
+        )
 
     run_blocks(work, len(tree.references), _BLOCK, workers, progress)
     pairs, visits, clips = (int(c) for c in counts.sum(axis=0))
     return OverlapResult(sums.sum(axis=0) * _UNIT, pairs, visits, clips)
 
 
-def epo_per_node(tree: Tree, triangles: Any, **options: Any) -> F64:
+def epo_per_node(tree: Tree | WideTree, triangles: Any, **options: Any) -> F64:
     """Each node's share of the EPO; options as for :func:`overlap`.
 
     Returns
@@ -139,7 +161,7 @@ def epo_per_node(tree: Tree, triangles: Any, **options: Any) -> F64:
     return node_costs(tree) * overlap(tree, triangles, **options).fraction
 
 
-def epo_per_depth(tree: Tree, triangles: Any, **options: Any) -> F64:
+def epo_per_depth(tree: Tree | WideTree, triangles: Any, **options: Any) -> F64:
     """EPO of the nodes of each depth; options as for :func:`overlap`.
 
     Returns
@@ -151,7 +173,7 @@ def epo_per_depth(tree: Tree, triangles: Any, **options: Any) -> F64:
 
 
 def epo(
-    tree: Tree,
+    tree: Tree | WideTree,
     triangles: Any,
     *,
     weights: npt.ArrayLike | None = None,
@@ -162,12 +184,13 @@ def epo(
 ) -> float:
     """Expected extra cost of a point query at a ray's end, due to overlap.
 
-    :func:`mibvh.estimate_epo` estimates it from points on the surfaces, for scenes where the
-    exact value takes too long; :func:`mibvh.epo_at_ends` takes the points where rays end.
+    Ray ends are taken as uniformly distributed over all surfaces. :func:`mibvh.epo_at_ends` uses
+    the points where given rays end. :func:`mibvh.estimate_epo` estimates EPO from random points,
+    for scenes where the exact value takes too long.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles or (N, 3, 3) array
         What the tree was built for.
     weights : (N,) array, optional
@@ -181,7 +204,7 @@ def epo(
     progress : callable, optional
         Called with the share done.
     **deprecated
-        ``samples`` and ``seed``, or ``ray_ends``: what the functions named above take.
+        ``samples`` and ``seed``, or ``ray_ends``: arguments of the functions named above.
 
     Returns
     -------
@@ -205,7 +228,9 @@ def epo(
     return float(epo_per_node(tree, triangles, **exact).sum())
 
 
-def _estimated(tree: Tree, triangles: Any, exact: dict[str, Any], asked: dict[str, Any]) -> Any:
+def _estimated(
+    tree: Tree | WideTree, triangles: Any, exact: dict[str, Any], asked: dict[str, Any]
+) -> Any:
     """Return what ``epo(samples=...)`` and ``epo(ray_ends=...)`` were before 0.2, an Estimate."""
     for name in asked:
         if name not in ("samples", "seed", "ray_ends"):
@@ -213,7 +238,7 @@ def _estimated(tree: Tree, triangles: Any, exact: dict[str, Any], asked: dict[st
     idle = {name for name, value in exact.items() if value is None or value is False}
     given = sorted((set(exact) - idle) | set(asked))
     if given not in (["samples"], ["samples", "seed"], ["ray_ends"]):
-        raise MibvhError(f"epo() takes no {' and '.join(given)} together")
+        raise MibvhError(f"epo() does not take this combination of arguments: {', '.join(given)}")
     instead = "epo_at_ends" if "ray_ends" in asked else "estimate_epo"
     warnings.warn(
         f"epo({', '.join(f'{name}=' for name in given)}) is now {instead}()",

@@ -1,9 +1,9 @@
 """The surface area heuristic for the lines that rays really lie on.
 
-The heuristic takes a box to be pierced by a share ``A_n / A_root`` of the lines through the
-scene, which holds for lines that are spread evenly in place and direction. Here the share is
-counted among the lines of a ray set, each weighted by the part of it that its ray is, so that a
-line counts once however many rays lie on it. Derived in ``docs/alpha.md``.
+The heuristic assumes that a share ``A_n / A_root`` of the lines through the scene pierces box
+``n``. That is true of lines that are uniformly distributed. Here the share is counted among the
+lines of a ray set. Each line is weighted by the part of it that its ray covers, so that it counts
+once however many rays lie on it. Derived in ``docs/alpha.md``.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from mibvh.metrics.sah import node_costs
 from mibvh.parallel import run_blocks
 from mibvh.tree import Tree
 from mibvh.triangles import F64, as_triangles
+from mibvh.wide_tree import WideTree, as_binary
 
 _BLOCK = 1024
 
@@ -47,6 +48,10 @@ class RayLines:
     def __len__(self) -> int:
         return len(self.share)
 
+    def sah(self, tree: Tree) -> Estimate:
+        """SAH of a tree with these lines; see :func:`sah_of_lines`."""
+        return sah_of_lines(tree, self)
+
 
 def ray_lines(triangles: Any, rays: Any, hits: Any, count: int | None = None) -> RayLines:
     """Lines of a ray set.
@@ -58,7 +63,7 @@ def ray_lines(triangles: Any, rays: Any, hits: Any, count: int | None = None) ->
     hits : Hits
         Of these rays, from any tree.
     count : int, optional
-        Take at most so many rays, every so-many-eth of the set, instead of all.
+        Take every k-th ray, with the smallest k that leaves at most this many; all by default.
 
     Returns
     -------
@@ -70,7 +75,7 @@ def ray_lines(triangles: Any, rays: Any, hits: Any, count: int | None = None) ->
         If ``count`` is less than 1, or the hits are not those of the rays.
     """
     if count is not None and count < 1:
-        raise MibvhError(f"lines are taken of at least one ray, not {count}")
+        raise MibvhError(f"count must be at least 1, not {count}")
     if len(hits.t) != len(rays):
         raise MibvhError(f"there are {len(rays)} rays, and hits of {len(hits.t)}")
     step = 1 if count is None else max(1, -(-len(rays) // count))
@@ -84,7 +89,7 @@ def ray_lines(triangles: Any, rays: Any, hits: Any, count: int | None = None) ->
 
 
 def inside_box(bounds: F64, o: F64, d: F64) -> tuple[F64, F64]:
-    """Where lines enter and leave a box; the second is less than the first for those that miss."""
+    """Where lines enter and leave a box; for a line that misses, the exit lies before the entry."""
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (bounds[0] - o) / d, (bounds[1] - o) / d
     across = d != 0
@@ -122,48 +127,61 @@ def _pierced(begin, end, o, d, start, stop, lower, upper, left, cost, depth, out
         out[i] = total
 
 
-def line_costs(tree: Tree, lines: RayLines, *, whole: bool = True) -> F64:
-    """Cost of all nodes whose closed boxes lines pierce, or rays touch, in no order.
+def line_costs(tree: Tree | WideTree, lines: RayLines, *, whole: bool = True) -> F64:
+    """Cost of all nodes whose closed boxes a line pierces or a ray touches.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     lines : RayLines
     whole : bool
-        Whether to take the whole line, or only the ray from its origin to where it ends: what
-        its traversal costs at the least, if it knew beforehand where it ends.
+        Whether to take the whole line, or only the ray from its origin to its end. The latter
+        is the least that a traversal can cost that knows beforehand where the ray ends.
 
     Returns
     -------
     (L,) float64
         In units of the cost constants that the tree was built with.
     """
+    tree = as_binary(tree)
     costs = node_costs(tree)
     out = np.zeros(len(lines))
     start = -np.inf if whole else 0.0
     stop = np.full(len(lines), np.inf) if whole else lines.length
 
     def work(_worker: int, begin: int, end: int) -> None:
-        _pierced(begin, end, lines.o, lines.d, start, stop, tree.lower, tree.upper, tree.left,
-                 costs, tree.depth, out)  # fmt: skip
+        _pierced(
+            begin,
+            end,
+            lines.o,
+            lines.d,
+            start,
+            stop,
+            tree.lower,
+            tree.upper,
+            tree.left,
+            costs,
+            tree.depth,
+            out,
+        )
 
     run_blocks(work, len(lines), _BLOCK)
     return out
 
 
-def sah_of_lines(tree: Tree, lines: RayLines) -> Estimate:
-    """SAH with the rays' own lines instead of evenly spread ones.
+def sah_of_lines(tree: Tree | WideTree, lines: RayLines) -> Estimate:
+    """SAH with the rays' own lines instead of uniformly distributed ones.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     lines : RayLines
         From :func:`ray_lines`.
 
     Returns
     -------
     Estimate
-        Mean cost of a line, weighted by the share of it that its ray is.
+        Mean cost of a line, weighted by the share of it that its ray covers.
 
     Raises
     ------
@@ -172,7 +190,7 @@ def sah_of_lines(tree: Tree, lines: RayLines) -> Estimate:
     """
     inside = int(np.count_nonzero(lines.share))
     if inside < 2:
-        raise MibvhError(f"{inside} rays run through the scene's box, too few to average over")
+        raise MibvhError(f"{inside} rays pass through the scene's box, too few to average over")
     costs, share = line_costs(tree, lines), lines.share
     value = float(share @ costs / share.sum())
     spread = share * (costs - value)  # of a ratio of two means

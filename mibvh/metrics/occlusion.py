@@ -1,4 +1,4 @@
-"""What rays cost that any hit ends: shadow rays and ambient occlusion. Derived in docs/rays.md."""
+"""Cost of any-hit rays: shadow rays and ambient occlusion. Derived in ``docs/rays.md``."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from mibvh.triangles import F64, Triangles
 
 
 def saved_by_any_hit(tree: Tree, triangles: Triangles, rays: RaySet, hits: Hits) -> float:
-    """What a traversal saves that ends at the first hit found, of the nodes that rays touch.
+    """What a traversal saves by ending at the first hit found, among the nodes that rays touch.
 
-    Where two sibling boxes overlap and one holds the hit, the other is visited only if it comes
-    first: half of the time. So half is saved of what foreign nodes cost that hold the start of an
-    occluded ray, half of those that hold its end, and half of the triangles in the leaf that
-    ends it.
+    Where two sibling boxes overlap and one contains the hit, the other is visited only if it comes
+    first, half of the time. So an occluded ray saves half the cost of the foreign nodes that
+    contain its start, half of those that contain its end, and half of the triangles in the leaf
+    where it ends.
 
     Parameters
     ----------
@@ -28,12 +28,12 @@ def saved_by_any_hit(tree: Tree, triangles: Triangles, rays: RaySet, hits: Hits)
         What the tree was built for.
     rays : RaySet
     hits : Hits
-        The closest ones, from any tree: of these, triangles and distances count.
+        The closest hits, from any tree. Their triangles and distances are used.
 
     Returns
     -------
     float
-        Mean over all rays, in units of the cost constants; rays that hit nothing save nothing.
+        Mean over all rays, in units of the cost constants. Rays that hit nothing save nothing.
     """
     hit = np.flatnonzero(hits.triangle >= 0)
     if not len(hit):
@@ -47,7 +47,7 @@ def saved_by_any_hit(tree: Tree, triangles: Triangles, rays: RaySet, hits: Hits)
 
 
 def foreign_at_starts(tree: Tree, triangles: Triangles, rays: RaySet) -> F64:
-    """(R,) float64: cost of the nodes that hold a ray's start, and not the triangle it leaves.
+    """(R,) float64: cost of the nodes that contain a ray's start, but not the triangle it leaves.
 
     0 for rays that leave no triangle.
     """
@@ -59,7 +59,7 @@ def foreign_at_starts(tree: Tree, triangles: Triangles, rays: RaySet) -> F64:
 
 
 def leaf_sizes(tree: Tree, triangles: Triangles) -> F64:
-    """(N,) float64: references in the leaf of each triangle; the mean over its leaves."""
+    """(N,) float64: number of references in the leaf of each triangle, averaged over its leaves."""
     leaves = np.flatnonzero(tree.is_leaf)
     leaves = leaves[np.argsort(tree.first[leaves])]
     size = np.repeat(tree.count[leaves], tree.count[leaves]).astype(np.float64)
@@ -70,7 +70,7 @@ def leaf_sizes(tree: Tree, triangles: Triangles) -> F64:
 def any_hit_ray_cost(
     sah: npt.ArrayLike, point_query: npt.ArrayLike, length_ratio: float, saved: npt.ArrayLike
 ) -> npt.NDArray[np.float64]:
-    """Cost of rays that any hit ends, with nothing fitted: ``s SAH + Q - saved``.
+    """Cost of any-hit rays, with nothing fitted: ``s SAH + Q - saved``.
 
     Parameters
     ----------
@@ -85,9 +85,9 @@ def any_hit_ray_cost(
 
 
 def estimate_alpha_any_hit(length_ratio: float, occluded: float) -> float:
-    """Alpha of rays that any hit ends, without measuring any tree: ``(1 - p) / (1 - p + s)``.
+    """Alpha of any-hit rays, without measuring any tree: ``(1 - p) / (1 - p + s)``.
 
-    The overlap that occluded rays find at their ends is what they save: only the others pay it.
+    Occluded rays save the overlap at their ends; only the others pay for it.
 
     Parameters
     ----------

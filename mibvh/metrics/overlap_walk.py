@@ -1,15 +1,16 @@
 """The walk of the exact EPO: triangle by triangle through the nodes that are foreign to it.
 
-A triangle's own nodes are the paths from the root to its references. They share a trunk, from
-the root down to the *junction*, the last node that has all of its references below it; a triangle
-with one reference has a trunk only, and its leaf is the junction. Foreign subtrees hang off both.
+A triangle's own nodes form the paths from the root to its references. The paths share a *trunk*,
+from the root down to the *junction*: the last node that has all of the triangle's references below
+it. A triangle with one reference has a trunk only, and its leaf is the junction. Foreign subtrees
+hang off the trunk and off the paths below it.
 
-- Off the trunk: the siblings that touch a node's box are passed down from node to node, so that
-  the trunk is gone once for all references below a node, and few of its siblings are left at the
-  junction. The junction's box holds the whole triangle.
-- Off the paths below the junction: these are walked for each triangle, which is clipped on its
-  way down to what lies in its own node. What a triangle has in a foreign node there need not lie
-  near any one of its leaves.
+- Off the trunk: the siblings that touch a node's box are passed down from node to node. The trunk
+  is thus walked once for all references below a node, and few siblings are left at the junction.
+  The junction's box contains the whole triangle.
+- Off the paths below the junction: these are walked for each triangle. On the way down the
+  triangle is clipped to its own node. Its part in a foreign node there need not be near any one of
+  its leaves.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from mibvh.metrics.clip import Polygons, clip, measure, put_triangle, room, touc
 
 
 class Nodes(NamedTuple):
-    """A tree's arrays as the walk reads them: ``box`` is (6 M,): each lower and upper corner."""
+    """A tree's arrays as the walk reads them; ``box`` is (6 M,): lower and upper corners."""
 
     box: Any
     left: Any
@@ -32,30 +33,30 @@ class Nodes(NamedTuple):
 
 
 class Work(NamedTuple):
-    """What one thread writes on.
+    """Scratch memory of one thread.
 
     Attributes
     ----------
     polygons : Polygons
-        Rows 0 and 1 are for the whole triangle, or the part of it in its leaf. Each level below
-        the trunk has two more, ``2 * level + 2`` and the next: siblings share them, as a node
-        is clipped when it is popped, after its sibling's subtree is done with.
+        Rows 0 and 1 hold the whole triangle, or its part in its leaf. Each level below the trunk
+        has two more rows, ``2 * level + 2`` and the next. Siblings share them: a node is clipped
+        when it is popped, and by then its sibling's subtree is finished.
     holder : (levels,) int64
-        The row of the polygon inside the node that is at a level now; where it is all of its
-        parent's, that is the parent's row.
+        Row of the polygon inside the current node of each level. Where that is the parent's
+        polygon, unclipped, it is the parent's row.
     stack, stack_level : int64
         Foreign nodes to visit.
     own : (., 4) int64
-        Own nodes to visit: node, level, and which of the triangle's positions lie below it.
+        Own nodes to visit: node, level, and the range of the triangle's positions below it.
     alone : (1,) int32
         A list of one node.
     path : (., 4) int32
-        Nodes to visit on the way to the block's leaves: node, depth, and where those siblings
-        of it and of its ancestors are listed that touch it.
+        Nodes to visit on the way to the block's leaves: node, depth, and the range in
+        ``siblings`` of those siblings, its own and its ancestors', that touch it.
     at : (., 3) int32
-        The node that is at a depth now, and where its siblings are listed.
+        The current node of each depth, and its range in ``siblings``.
     siblings : int32
-        The lists.
+        The lists of siblings.
     """
 
     polygons: Polygons
@@ -70,7 +71,7 @@ class Work(NamedTuple):
 
 
 def workspace(depth: int) -> Work:
-    """Return what one thread writes on, for a tree of a depth."""
+    """Allocate the scratch memory of one thread for a tree of the given depth."""
     size = 2 * depth + 4
     i32, i64 = np.int32, np.int64
     return Work(
@@ -90,7 +91,7 @@ def workspace(depth: int) -> Work:
 def _foreign(nodes, subtrees, low, high, row, base, weight, work, sums):
     """Add the areas of the polygon in a row inside ``subtrees[low:high]`` and all below them.
 
-    ``base`` is the level of these subtrees. Returns the pairs, boxes and clips it took.
+    ``base`` is the level of these subtrees. Returns how many pairs, boxes and clips there were.
     """
     polygons, holder, stack, stack_level = work.polygons, work.holder, work.stack, work.stack_level
     box, left = nodes.box, nodes.left
@@ -166,13 +167,24 @@ def _below(nodes, junction, positions, begin, end, row, weight, work, sums):
 
 @njit(allocates=False)
 def walk(
-    begin, end, walked, cut_to_leaf, corners, weights, starts, positions, references, nodes,
-    unit, work, sums,
-):  # fmt: skip
+    begin,
+    end,
+    walked,
+    cut_to_leaf,
+    corners,
+    weights,
+    starts,
+    positions,
+    references,
+    nodes,
+    unit,
+    work,
+    sums,
+):
     """Add the foreign areas of the references ``begin`` to ``end`` to ``sums`` (M,) int64.
 
-    ``walked`` says which references stand for their triangle, the first of each; with
-    ``cut_to_leaf`` every one stands for the part of its triangle in its leaf's box.
+    ``walked`` marks the references that stand for their triangle: the first of each. With
+    ``cut_to_leaf`` every reference stands for the part of its triangle in its leaf's box.
     """
     polygons, limits = work.polygons, work.polygons.limits
     box, left, first, count = nodes.box, nodes.left, nodes.first, nodes.count
@@ -186,8 +198,8 @@ def walk(
             continue
         at[level, 0], at[level, 1], at[level, 2] = node, low, high
         if left[node] >= 0:
-            # -- pass on the siblings that touch each child, and the other child; the lists of both
-            # are written now, one behind the other, and stay until the children are done with
+            # -- pass on the siblings that touch each child, and the other child. Both lists are
+            # written now, one behind the other, and stay valid until both children are finished
             for c in range(2):
                 child, other = left[node] + c, left[node] + 1 - c
                 place = high if c == 0 else path[top - 1, 3]

@@ -1,7 +1,7 @@
 """Point queries: what it costs to find a point on a surface, and how much of that is overlap.
 
-The estimators of EPO that need no clipping: points drawn on the surfaces, or the points where
-rays begin and end. Shares no geometry with the exact walk of :mod:`mibvh.metrics.epo`.
+Estimators of EPO that need no clipping: they use points drawn on the surfaces, or the points
+where rays begin and end. They share no geometry with the exact walk of :mod:`mibvh.metrics.epo`.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from mibvh.metrics.sah import node_costs
 from mibvh.parallel import run_blocks
 from mibvh.tree import Tree
 from mibvh.triangles import F64, I32, Triangles, as_triangles
+from mibvh.wide_tree import BinaryView, WideTree, as_binary
 
 _BLOCK = 4096
 
@@ -31,7 +32,7 @@ class Estimate:
     value, standard_error : float
         In units of the cost constants.
     points : int
-        How many points it is over.
+        Number of points averaged.
     """
 
     value: float
@@ -39,7 +40,7 @@ class Estimate:
     points: int
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
-        """Confidence interval, taking the mean as normally distributed."""
+        """Confidence interval of a normally distributed mean."""
         reach = statistics.NormalDist().inv_cdf(0.5 + confidence / 2) * self.standard_error
         return self.value - reach, self.value + reach
 
@@ -83,8 +84,8 @@ def _query(
         out[i, 1] = own
 
 
-def triangle_positions(tree: Tree, triangles: int) -> tuple[Any, Any]:
-    """Where each triangle's references stand in leaf order.
+def triangle_positions(tree: Tree | WideTree, triangles: int) -> tuple[Any, Any]:
+    """Positions of each triangle's references in leaf order.
 
     Returns
     -------
@@ -97,12 +98,12 @@ def triangle_positions(tree: Tree, triangles: int) -> tuple[Any, Any]:
     return starts, np.argsort(tree.references, kind="stable").astype(np.int32)
 
 
-def point_costs(tree: Tree, triangles: Any, points: F64, ids: I32) -> F64:
+def point_costs(tree: Tree | WideTree, triangles: Any, points: F64, ids: I32) -> F64:
     """Cost of a point query at each point.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles or (N, 3, 3) array
         What the tree was built for.
     points : (P, 3) float64
@@ -113,14 +114,14 @@ def point_costs(tree: Tree, triangles: Any, points: F64, ids: I32) -> F64:
     Returns
     -------
     (P, 2) float64
-        Cost of the foreign nodes that hold the point, which is overlap, and of the nodes that
-        its own triangle is referenced below, in units of the cost constants.
+        Cost of the foreign nodes that contain the point (the overlap), and of the point's own
+        nodes, which have a reference to its triangle below them. In units of the cost constants.
 
     Raises
     ------
     MibvhError
-        If the tree was built for another geometry, or points and ids do not fit each other or
-        the triangles.
+        If the tree was built for another geometry, or points and ids do not match each other
+        or the triangles.
     """
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
@@ -132,50 +133,82 @@ def point_costs(tree: Tree, triangles: Any, points: F64, ids: I32) -> F64:
     if ids.dtype.kind not in "iu" or (
         len(ids) and not 0 <= ids.min() <= ids.max() < len(triangles)
     ):
-        raise MibvhError(f"ids of points are whole numbers from 0 to {len(triangles) - 1}")
+        raise MibvhError(f"ids of points must be integers from 0 to {len(triangles) - 1}")
     ids = ids.astype(np.int32)
     starts, positions = triangle_positions(tree, len(triangles))
+    tree = as_binary(tree)
     costs = node_costs(tree)
     out = np.zeros((len(points), 2))
 
     def work(_worker: int, begin: int, end: int) -> None:
-        _query(begin, end, points, ids, starts, positions, tree.lower, tree.upper, tree.left,
-               tree.first, tree.count, tree.depth, costs, out)  # fmt: skip
+        _query(
+            begin,
+            end,
+            points,
+            ids,
+            starts,
+            positions,
+            tree.lower,
+            tree.upper,
+            tree.left,
+            tree.first,
+            tree.count,
+            tree.depth,
+            costs,
+            out,
+        )
 
     run_blocks(work, len(points), _BLOCK)
     return out
 
 
-def weight_at(tree: Tree, points: F64, weights: F64) -> F64:
-    """Sum of the weights of the nodes whose closed box holds a point, anywhere in space.
+def weight_at(tree: Tree | WideTree, points: F64, weights: F64) -> F64:
+    """Sum of the weights of the nodes whose closed box contains a point, anywhere in space.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     points : (P, 3) float64
     weights : (M,) float64
-        Of the nodes: ones count them, :func:`mibvh.metrics.sah.node_costs` is the cost of a
-        point query.
+        One per node. Ones count the nodes; :func:`mibvh.metrics.sah.node_costs` gives the cost
+        of a point query.
 
     Returns
     -------
     (P,) float64
     """
     tree.check()
+    tree = as_binary(tree)
+    if isinstance(tree, BinaryView):
+        weights = tree.spread(weights)
     # A point that belongs to a triangle without references has foreign nodes only.
     nobody, starts = np.zeros(len(points), np.int32), np.zeros(2, np.int64)
     positions, out = np.zeros(0, np.int32), np.zeros((len(points), 2))
 
     def work(_worker: int, begin: int, end: int) -> None:
-        _query(begin, end, points, nobody, starts, positions, tree.lower, tree.upper, tree.left,
-               tree.first, tree.count, tree.depth, weights, out)  # fmt: skip
+        _query(
+            begin,
+            end,
+            points,
+            nobody,
+            starts,
+            positions,
+            tree.lower,
+            tree.upper,
+            tree.left,
+            tree.first,
+            tree.count,
+            tree.depth,
+            weights,
+            out,
+        )
 
     run_blocks(work, len(points), _BLOCK)
     return out[:, 0]
 
 
 def points_on(triangles: Triangles, ids: I32, seed: int = 0) -> F64:
-    """(P, 3) float64: a random point on each of the named triangles, evenly spread."""
+    """(P, 3) float64: a uniformly distributed random point on each of the given triangles."""
     u, v = np.random.default_rng(seed).random((2, len(ids)))
     over = u + v > 1
     return barycentric(triangles, ids, np.where(over, 1 - u, u), np.where(over, 1 - v, v))
@@ -187,19 +220,18 @@ def barycentric(triangles: Triangles, ids: I32, u: F64, v: F64) -> F64:
     return a + u[:, None] * (b - a) + v[:, None] * (c - a)
 
 
-def estimate_epo(tree: Tree, triangles: Any, samples: int, seed: int = 0) -> Estimate:
+def estimate_epo(tree: Tree | WideTree, triangles: Any, samples: int, seed: int = 0) -> Estimate:
     """Estimate EPO from points on the surfaces, stratified by area.
 
-    The surfaces are laid end to end by area in leaf order of the tree's references, and cut
-    into ``samples / 2`` strata of equal area with two points in each, so that the error can be
-    told from the pairs.
+    The surfaces are ordered like the tree's references and cut into ``samples / 2`` strata of
+    equal area. Each stratum gets two points, whose differences give the standard error.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles or (N, 3, 3) array
     samples : int
-        Points, at least 4; an odd one out is dropped.
+        Number of points, at least 4; an odd number is rounded down.
     seed : int
 
     Returns
@@ -212,7 +244,7 @@ def estimate_epo(tree: Tree, triangles: Any, samples: int, seed: int = 0) -> Est
         For fewer than four points, or if the tree was built for another geometry.
     """
     if samples < 4:
-        raise MibvhError(f"an estimate of EPO takes at least 4 points, not {samples}")
+        raise MibvhError(f"an estimate of EPO needs at least 4 points, not {samples}")
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
     rng = np.random.default_rng(seed)
@@ -241,7 +273,7 @@ class RayEnds:
     points : (P, 3) float64
     triangle : (P,) int32
     rays : int
-        Rays they come from; more than points where some rays have no such end.
+        Number of rays they belong to. There are fewer points where some rays have no such end.
     """
 
     points: F64
@@ -257,7 +289,7 @@ class RayEnds:
         return len(self) / self.rays
 
     def joined(self, other: RayEnds) -> RayEnds:
-        """Both sets of ends, as ends of the same rays."""
+        """Join two sets of ends of the same rays."""
         return RayEnds(
             np.concatenate([self.points, other.points]),
             np.concatenate([self.triangle, other.triangle]),
@@ -267,18 +299,19 @@ class RayEnds:
     def density(self, triangles: Triangles, pseudo: float = 1.0, group: int = 32) -> F64:
         """Ends per area on each triangle, smoothed where few rays reach.
 
-        A triangle's density is drawn towards that of its neighbourhood as a gamma prior worth
-        ``pseudo`` ends does: ``(n + pseudo) / (area + pseudo / neighbourhood)``. Triangles that
-        many ends fall on keep their own; those that none reaches take their neighbours'.
-        Neighbourhoods are runs of triangles along a Morton curve with at least ``group`` ends.
+        The density is the posterior mean under a gamma prior that is worth ``pseudo`` ends at
+        the density of the triangle's neighbourhood: ``(n + pseudo) / (area + pseudo /
+        neighbourhood)``. Triangles with many ends keep their own density; triangles without
+        any take that of their neighbours. A neighbourhood is a run of triangles along a Morton
+        curve with at least ``group`` ends.
 
         Parameters
         ----------
         triangles : Triangles
         pseudo : float
-            Ends that the neighbourhood counts for.
+            Weight of the neighbourhood, in ends.
         group : int
-            Ends per neighbourhood, at least.
+            Least number of ends per neighbourhood.
 
         Returns
         -------
@@ -322,7 +355,7 @@ def ray_ends(triangles: Any, rays: Any, hits: Any) -> tuple[RayEnds, RayEnds]:
 
 
 def ray_starts(triangles: Any, rays: Any) -> RayEnds:
-    """Where the rays of a set begin, as far as they leave triangles; see :func:`ray_ends`."""
+    """Where those rays of a set begin that leave triangles; see :func:`ray_ends`."""
     left_from = np.flatnonzero(rays.source >= 0)
     return _ray_ends(triangles, rays.o[left_from], rays.source[left_from], len(rays))
 
@@ -348,10 +381,10 @@ def _ray_ends(triangles: Any, near: Any, ids: I32, rays: int) -> RayEnds:
 
 
 def on_surface(triangles: Triangles, near: Any, ids: I32) -> F64:
-    """Move points that lie on triangles up to roundings into them.
+    """Move points into the planes of their triangles.
 
-    Boxes are closed and flat ones common: a point off its wall by a rounding would miss every
-    box whose face the wall is.
+    Ray hits lie on their triangles only up to rounding. Flat boxes are common, so a point that is
+    off its wall by one rounding would miss every box that has the wall for a face.
 
     Parameters
     ----------
@@ -376,12 +409,12 @@ def on_surface(triangles: Triangles, near: Any, ids: I32) -> F64:
     return barycentric(triangles, ids, u / over, v / over)
 
 
-def epo_at_ends(tree: Tree, triangles: Any, ends: RayEnds) -> Estimate:
+def epo_at_ends(tree: Tree | WideTree, triangles: Any, ends: RayEnds) -> Estimate:
     """Extra cost of a point query where rays really end, instead of evenly over all surfaces.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles or (N, 3, 3) array
     ends : RayEnds
         From :func:`ray_ends`.
@@ -389,7 +422,7 @@ def epo_at_ends(tree: Tree, triangles: Any, ends: RayEnds) -> Estimate:
     Returns
     -------
     Estimate
-        Mean over the ends; multiply by ``ends.share`` for the cost per ray.
+        Mean over the ends. Multiply by ``ends.share`` for the cost per ray.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Predictors of cost, and how well they explain measurements.
 
-The paper's predictor is ``(1 - alpha) SAH + alpha EPO``; alpha is what part of a ray's cost
-comes from its ends rather than from its length.
+The paper's predictor is ``(1 - alpha) SAH + alpha EPO``. Alpha is the share of a ray's cost that
+comes from its ends; the rest comes from its length.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy.typing as npt
 from mibvh.metrics.lines import inside_box
 from mibvh.triangles import as_triangles
 
-#: Fewest trees that alpha is fitted to: with the line it makes three free parameters, and r
-#: over three trees is 1, or nearly so, whatever the metrics are worth.
+#: Fewest trees that alpha is fitted to. Alpha and a line are three free parameters: over three
+#: trees r is 1, or nearly so, whatever the metrics are worth.
 FEWEST_TREES = 5
-#: Values that differ by less than this share of the greatest are taken for one: it is above the
-#: rounding of the metrics.
+#: Values that differ by less than this share of the largest count as equal. It is larger than the
+#: rounding errors of the metrics.
 _SAME = 1e-7
-#: The best fixed alpha on the paper's slides, and the default of other codes that cite it.
+#: The best fixed alpha on the paper's slides, and the default of other programs that cite it.
 FIXED_ALPHAS = (0.79, 0.71)
 
 
@@ -40,8 +40,8 @@ def predict(sah: npt.ArrayLike, epo: npt.ArrayLike, alpha: float) -> npt.NDArray
 def pearson(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> float:
     """Pearson's correlation coefficient.
 
-    NaN for values that are constant but for rounding, or not finite, and for fewer than three
-    trees: over two it is 1 or -1 whatever the predictor.
+    NaN for values that are not finite or constant up to rounding, and for fewer than three
+    trees: over two trees it is always 1 or -1.
     """
     x, y = np.asarray(predicted, np.float64), np.asarray(measured, np.float64)
     if len(x) < 3 or not np.isfinite([x, y]).all():
@@ -54,17 +54,17 @@ def pearson(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> float:
 def fit_alpha(
     sah: npt.ArrayLike, epo: npt.ArrayLike, measured: npt.ArrayLike, plus: npt.ArrayLike = 0.0
 ) -> float:
-    """Alpha of the greatest Pearson r of ``(1 - alpha) SAH + alpha EPO + plus``, in closed form.
+    """Alpha that maximises Pearson's r of ``(1 - alpha) SAH + alpha EPO + plus``, in closed form.
 
-    r has one stationary point along alpha; where that lies outside 0 to 1, or is a minimum, the
-    best alpha allowed is one of the ends.
+    r has one stationary point in alpha. Where that is a minimum or outside 0 to 1, the best alpha
+    is 0 or 1.
 
     Parameters
     ----------
     sah, epo, measured : (K,) array
         One value per tree.
     plus : (K,) array, optional
-        What else the prediction has in it, such as a fixed weight times LCV.
+        Further terms of the prediction, such as a fixed weight times LCV.
 
     Returns
     -------
@@ -89,9 +89,9 @@ def fit_alpha(
 def path_length_ratio(triangles: Any, rays: Any, hits: Any) -> float:
     """Mean length of the rays inside the scene's box over the mean chord of that box.
 
-    The mean chord of a convex body of volume V and surface A is 4 V / A: what a long random ray
-    spends in it. Rays that miss count up to where they leave the box, or to
-    their own end.
+    The mean chord of a convex body of volume V and surface A is 4 V / A: the mean length of a long
+    random ray inside it. Rays that miss count up to where they leave the box, or up to their own
+    end.
 
     Parameters
     ----------
@@ -134,15 +134,14 @@ def finite_ray_cost(
 ) -> npt.NDArray[np.float64]:
     """Cost of a ray of finite length, with nothing fitted: ``s SAH + Q``.
 
-    A ray visits the nodes that hold its start, and those that it enters on its way. The first
-    are a point query's, ``Q``; of the second there are as many as the surface area heuristic
-    says for a long ray, times the share ``s`` of a long ray that it is. Derived in
-    ``docs/alpha.md``.
+    A ray visits the nodes that contain its start, and those that it enters on its way. The former
+    cost a point query, ``Q``. The latter cost what the surface area heuristic says for a long ray,
+    times the share ``s`` of a long ray that this one covers. Derived in ``docs/alpha.md``.
 
     Parameters
     ----------
     sah, point_query : (K,) array
-        Per tree; the query is the mean over the rays' starts of all nodes that hold them.
+        One per tree. The point query is the mean cost of all nodes that contain a ray's start.
     length_ratio : float
         From :func:`path_length_ratio`.
     """
@@ -155,7 +154,7 @@ def held_out(columns: Sequence[npt.ArrayLike], measured: npt.ArrayLike) -> npt.N
     Parameters
     ----------
     columns : list of (K,) array
-        Metrics whose weights are fitted, beside a constant.
+        Metrics whose weights are fitted, together with a constant.
     measured : (K,) array
 
     Returns
@@ -177,7 +176,7 @@ def held_out(columns: Sequence[npt.ArrayLike], measured: npt.ArrayLike) -> npt.N
 def fitted_combination(
     columns: Sequence[npt.ArrayLike], measured: npt.ArrayLike
 ) -> npt.NDArray[np.float64]:
-    """The linear combination, no weight negative, of greatest correlation with a measurement.
+    """Linear combination with non-negative weights that correlates best with a measurement.
 
     Parameters
     ----------
@@ -198,7 +197,7 @@ def fitted_combination(
 def combination_weights(
     columns: npt.NDArray[np.float64], measured: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """Weights of that combination: least squares beside a constant, no weight negative.
+    """Weights of that combination: non-negative least squares with a constant.
 
     Parameters
     ----------
@@ -209,7 +208,7 @@ def combination_weights(
     -------
     (C,) float64
     """
-    from scipy import optimize  # a second to import
+    from scipy import optimize  # slow to import
 
     weights, _ = optimize.nnls(columns - columns.mean(axis=0), measured - measured.mean())
     return np.asarray(weights)
@@ -225,7 +224,7 @@ def bootstrap_interval(
     predicted : (K,) array
         Per tree.
     groups : (K, G) array
-        Mean cost of each tree over each of G random groups of rays; groups are drawn again.
+        Mean cost of each tree over each of G random groups of rays; the groups are resampled.
     confidence : float
     seed : int
 
@@ -251,11 +250,11 @@ def agreement(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> dict[str, An
     Returns
     -------
     dict
-        ``trees`` (how many), ``pearson``, ``spearman``, ``kendall``, ``without_worst`` (the
-        Pearson r without the tree that changes it most: one absurd tree lifts every r), and
-        ``worst_error`` (largest relative error of the least-squares line, as a share).
+        ``trees`` (their number), ``pearson``, ``spearman``, ``kendall``, ``without_worst`` (the
+        Pearson r without the tree that changes it most, as one absurd tree raises every r), and
+        ``worst_error`` (largest relative error of the least-squares line).
     """
-    from scipy import stats  # a second to import
+    from scipy import stats  # slow to import
 
     x, y = np.asarray(predicted, np.float64), np.asarray(measured, np.float64)
     result: dict[str, Any] = {"trees": len(x), "pearson": pearson(x, y)}

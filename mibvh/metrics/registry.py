@@ -1,8 +1,8 @@
-"""What is known of a tree, declared once; and the registry of tree statistics.
+"""Quantities of a tree, declared once, and the registry of tree statistics.
 
-A :class:`Quantity` says what one number of a tree is: its unit, the rays it is of, and how a table
-shows it. A :class:`Metric` computes some quantities from a tree alone. A new metric is one file
-with a ``METRIC`` and one line in :data:`_BUNDLED`; a user's own is passed to :func:`add_metric`.
+A :class:`Quantity` declares one number of a tree: its unit, its rays, and how a table shows it.
+A :class:`Metric` computes some quantities from a tree alone. A new metric is one file with a
+``METRIC`` and one line in :data:`_BUNDLED`; a user's own is passed to :func:`add_metric`.
 """
 
 from __future__ import annotations
@@ -33,29 +33,29 @@ class Quantity:
     Attributes
     ----------
     name, unit : str
-        The name is that of ``measurement`` in ``results.parquet``.
+        The name is the value of ``measurement`` in ``results.parquet``.
     rays : str
-        The rays that it is of; empty for what takes none.
+        The rays that it is measured with; empty if it needs none.
     heading : str
-        Of its column in tables for people; empty for what stands in files alone.
+        Heading of its column in tables for people; empty if it is written to files only.
     format : str
-        How its values are written there.
+        Format of its values in these tables.
     help : str
-        What it is, in a few words.
+        A few words on what it is.
     smaller_is_better : bool
-        Whether the least value of a table is marked as the best.
+        Whether the smallest value of a table is marked as the best.
     main : bool
-        Whether it stands in the table of all scenes' trees as well as in the scene's own.
+        Whether it is a column of the table of all scenes, as well as of each scene's own.
     target : bool
-        Whether predictors are held against it.
+        Whether predictors are compared with it.
     figure, caption : str
-        Of a target: the name of its figure's file after the scene's, and what is said below it.
+        Of a target: suffix of its figure's file name, and the figure's caption.
     error : str
-        Name of the quantity that is its relative standard error; empty where it has no noise.
+        Name of the quantity with its relative standard error; empty if it has no noise.
     per_tree : bool
-        Whether every tree of a study has one; if not, only rows of an experiment do.
+        Whether every tree of a study has it; otherwise only rows of an experiment do.
     place : int
-        Where its column stands: columns of smaller places come first.
+        Position of its column: smaller numbers come first.
     """
 
     name: str
@@ -75,13 +75,13 @@ class Quantity:
 
 
 class Subject:
-    """A tree that is judged; what several metrics need is computed once.
+    """A tree under study; what several metrics need is computed once.
 
     Parameters
     ----------
     tree : Tree
     triangles : Triangles
-        That it was built for.
+        What it was built for.
     """
 
     def __init__(self, tree: Tree, triangles: Triangles) -> None:
@@ -94,12 +94,12 @@ class Subject:
 
     @functools.cached_property
     def sah_shares(self) -> F64:
-        """(M,) float64: what each node adds to SAH."""
+        """(M,) float64: contribution of each node to SAH."""
         return sah_per_node(self.tree)
 
     @functools.cached_property
     def epo_shares(self) -> F64:
-        """(M,) float64: what each node adds to EPO."""
+        """(M,) float64: contribution of each node to EPO."""
         return np.asarray(node_costs(self.tree) * self.overlap.fraction)
 
 
@@ -113,7 +113,7 @@ class Metric:
     quantities : tuple of Quantity
         What it computes.
     compute : callable
-        ``compute(subject)`` returns a value for the name of each quantity.
+        ``compute(subject)`` returns a mapping with a value for each quantity's name.
     """
 
     name: str
@@ -126,7 +126,7 @@ class Metric:
         Raises
         ------
         MibvhError
-            If not exactly the declared quantities come back.
+            If the returned quantities are not the declared ones.
         """
         values = dict(self.compute(subject))
         declared = {quantity.name for quantity in self.quantities}
@@ -144,7 +144,7 @@ _added: dict[str, Metric] = {}
 
 
 def add_metric(metric: Metric) -> Metric:
-    """Register a tree statistic: every study computes and shows it from here on."""
+    """Register a tree statistic. All later studies compute and show it."""
     _added[metric.name] = metric
     return metric
 

@@ -1,4 +1,4 @@
-"""What a study keeps of a tree's size and shape, and of how long it took to build."""
+"""Size, shape and build time of a tree, as a study records them."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""At home in Mitsuba: ``import mibvh.mitsuba`` registers the integrators of ``plugins/``.
+"""Mitsuba plugins: ``import mibvh.mitsuba`` registers the integrators of ``plugins/``.
 
-They are then known to scene XML and dicts like Mitsuba's own, in every variant that is set
-before or after:
+Scene XML and dicts can then use them like Mitsuba's own, in every variant that is set before or
+after:
 
-- ``bvh_path``: a path tracer whose every ray goes through a tree of mibvh's
-- ``bvh_cost``: heat maps of what the rays of the camera cost in a tree, or in two
+- ``bvh_path``: a path tracer that traces every ray through a tree
+- ``bvh_cost``: heat maps of the cost of camera rays in one tree, or in two
 - ``bvh_rays``: traces diffuse rays into a :class:`mibvh.RaySet`, and shows where they end
 
 Examples

@@ -1,4 +1,4 @@
-"""A tree of mibvh's in the place of a Mitsuba scene's own acceleration structure."""
+"""A tree that takes the place of a Mitsuba scene's own acceleration structure."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _NONE = 0xFFFFFFFF
 class Accelerator:
     """Intersects the rays of a Mitsuba scene with a tree.
 
-    Its functions take and return what those of ``mitsuba.Scene`` do, and may be called inside
-    of Dr.Jit's symbolic loops. Meshes and rectangles are in the tree. Every other shape (spheres,
-    curves, SDF grids, instances, ...) is named in a warning, and traced by Mitsuba beside it.
+    Its methods take and return what those of ``mitsuba.Scene`` do, and may be called inside
+    Dr.Jit's symbolic loops. Meshes and rectangles are in the tree. Mitsuba traces every other shape
+    (spheres, curves, SDF grids, instances, ...) beside the tree, and a warning names it.
 
     Parameters
     ----------
@@ -78,8 +78,8 @@ class Accelerator:
         first_of[pointers] = first
         self._first_of = mi.Int32(first_of)
         dr.eval(self._shape, self._first, self._first_of)
-        # Instances cannot be taken out of their scene. All of it is traced then, and what Mitsuba
-        # hits in the tree's meshes is left to the tree.
+        # Instances cannot be taken out of their scene. Mitsuba then traces the whole scene, and its
+        # hits on meshes of the tree are ignored.
         self._all_traced = any(shape_kind(shape) == "Instance" for shape in others)
         self._others = scene if self._all_traced else _scene_of(others) if others else None
         if others:
@@ -126,7 +126,7 @@ class Accelerator:
         return pi
 
     def occluded(self, ray: Any, active: Any = True) -> Any:
-        """Tell which rays hit anything: shadow rays, that end at the first hit found.
+        """Find out which rays hit anything. They end at the first hit found, as shadow rays do.
 
         Parameters
         ----------
@@ -189,14 +189,20 @@ class Accelerator:
     def _walk(self, o: Any, d: Any, tmax: Any, active: Any, any_hit: bool) -> tuple[Any, Any]:
         scale = self._records.scale
         t, triangle, *_ = walk(
-            self._records, o * scale, d, tmax * scale, active,
-            cull=True, count=False, any_hit=any_hit,
-        )  # fmt: skip
+            self._records,
+            o * scale,
+            d,
+            tmax * scale,
+            active,
+            cull=True,
+            count=False,
+            any_hit=any_hit,
+        )
         return t / scale, triangle
 
     @staticmethod
     def _spread(ray: Any, active: Any) -> tuple[Any, Any, Any, Any]:
-        """Give the parts of a ray the same width: the kernel's stack needs it."""
+        """Give all parts of a ray the same width, as the kernel's stack needs it."""
         import drjit as dr
 
         mi = mitsuba()
@@ -210,7 +216,7 @@ class Accelerator:
         return o, d, tmax, active
 
     def _barycentric(self, o: Any, d: Any, triangle: Any, valid: Any) -> Any:
-        """Coordinates of the hit in its triangle, as of Moeller and Trumbore (1997)."""
+        """Barycentric coordinates of the hit (Moeller and Trumbore 1997)."""
         import drjit as dr
 
         mi = mitsuba()
@@ -222,24 +228,24 @@ class Accelerator:
 
 
 def holds(shape: Any) -> bool:
-    """Whether a tree of triangles holds a shape exactly as Mitsuba traces it."""
+    """Whether a tree of triangles represents a shape exactly as Mitsuba traces it."""
     return bool(shape.is_mesh() and _in_tree(shape))
 
 
 def _in_tree(shape: Any) -> Any:
-    """Whether a shape, or a lane's, is of a type that trees hold."""
+    """Whether a shape, or each lane's shape, is of a type that trees can hold."""
     mi = mitsuba()
     kind = shape.shape_type()
     return (kind == int(mi.ShapeType.Mesh)) | (kind == int(mi.ShapeType.Rectangle))
 
 
 def _scene_of(shapes: list[Any]) -> Any:
-    """Make a Mitsuba scene of shapes that stay what and where they are."""
+    """Make a Mitsuba scene of existing shapes."""
     mi = mitsuba()
     ids = [shape.id() for shape in shapes]
     scene = mi.load_dict({"type": "scene", **{f"shape_{i}": s for i, s in enumerate(shapes)}})
     for shape, name in zip(shapes, ids, strict=True):
-        shape.set_id(name)  # it was given that of the dict
+        shape.set_id(name)  # load_dict replaced it
     return scene
 
 

@@ -1,4 +1,4 @@
-"""What rays cost in a tree, one by one."""
+"""Cost of single rays in a tree."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mibvh.tree import Tree
 from mibvh.triangles import F64, I32, Triangles
 from mibvh.variant import mitsuba
 
-#: What is told of each ray, and in which words.
+#: What is counted for each ray, and its description.
 QUANTITIES = {
     "inner": "inner nodes visited",
     "leaves": "leaves visited",
@@ -26,7 +26,7 @@ QUANTITIES = {
 
 
 class CostProbe:
-    """Tells what each ray costs in a tree.
+    """Counts what each ray costs in a tree.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ class CostProbe:
     triangles : Triangles
         What the tree was built for.
     cull : bool
-        Re-test popped nodes against the current hit; not so in the paper.
+        Whether to re-test popped nodes against the current hit. The paper does not.
     records : Records, optional
-        The tree's, where they are there already.
+        The tree's records, if they exist already.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class CostProbe:
         self._records = records or make_records(tree, triangles)
 
     def __call__(self, ray: Any, active: Any) -> dict[str, npt.NDArray[Any]]:
-        """Trace rays, and count.
+        """Trace rays and count their steps.
 
         Parameters
         ----------
@@ -60,9 +60,9 @@ class CostProbe:
         Returns
         -------
         dict
-            Of each of :data:`QUANTITIES` an array with a value per ray, and ``hit``, whether the
-            ray hits anything. Leaf depth and overlap are 0 for rays that do not. Costs are
-            in units of the constants that the tree was built with.
+            An array per name in :data:`QUANTITIES`, with a value per ray, and ``hit``: whether the
+            ray hits anything. Leaf depth and overlap are 0 for rays that miss. Costs are in units
+            of the constants that the tree was built with.
         """
         import drjit as dr
 
@@ -77,8 +77,10 @@ class CostProbe:
             mi.Vector3f(np.ascontiguousarray(d.T)),
             mi.Float(np.broadcast_to(np.array(ray.maxt * scale), n).copy()),
             mi.Bool(np.broadcast_to(np.array(active), n).copy()),
-            cull=self.cull, count=True, any_hit=False,
-        )  # fmt: skip
+            cull=self.cull,
+            count=True,
+            any_hit=False,
+        )
         dr.eval(outputs)
         t, triangle, inner, leaves, tests = (np.array(column) for column in outputs[:5])
         ids = triangle.view(np.int32)
@@ -101,7 +103,7 @@ class CostProbe:
 
 
 def leaf_depths(tree: Tree, triangles: Triangles, points: F64, ids: I32) -> F64:
-    """Depth of the leaf that each point of a triangle is found in.
+    """Depth of the leaf in which each point of a triangle is found.
 
     Parameters
     ----------
@@ -115,8 +117,8 @@ def leaf_depths(tree: Tree, triangles: Triangles, points: F64, ids: I32) -> F64:
     Returns
     -------
     (P,) float64
-        Edges from the root to the leaf that refers to the triangle and whose box holds the
-        point; where spatial splits leave several, to the shallowest.
+        Edges from the root to the leaf that references the triangle and whose box contains the
+        point. After spatial splits there may be several: the shallowest counts.
     """
     starts, positions = triangle_positions(tree, len(triangles))
     leaves = np.flatnonzero(tree.is_leaf)
@@ -128,6 +130,6 @@ def leaf_depths(tree: Tree, triangles: Triangles, points: F64, ids: I32) -> F64:
     reference = positions[np.arange(len(point)) - begin[point] + starts[ids][point]]
     leaf = leaf_at[reference]
     inside = (points[point] >= tree.lower[leaf]) & (points[point] <= tree.upper[leaf])
-    # Of a point that a rounding keeps out of all its boxes, the shallowest of these.
+    # If rounding puts a point outside all its leaves, the shallowest leaf counts.
     depth = tree.depths[leaf] + np.where(inside.all(axis=1), 0, 1000)
     return np.minimum.reduceat(depth, begin) % 1000.0 if len(ids) else np.zeros(0)

@@ -15,11 +15,11 @@ from mibvh.variant import mitsuba
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Ends that a density is estimated from: the nearest ones (Jensen 1996, as photon maps do).
+#: Number of nearest ends for a density estimate, as in photon maps (Jensen 1996).
 _NEAREST = 16
-#: The scale of colours: so many times sparser and denser than evenly spread.
+#: Range of the colour scale: sparser and denser than uniform by this factor.
 _SCALE = 16.0
-#: Sparser than this counts as not reached.
+#: Below this density, a surface counts as not reached.
 _UNREACHED = 1 / 64
 _GREY = 0.75
 
@@ -60,7 +60,8 @@ class Coverage:
         Returns
         -------
         (P,) float64
-            Ends per area within the circle of the 16 nearest, over the mean of all surfaces.
+            Ends per area within the circle of the 16 nearest, relative to the mean over all
+            surfaces.
         """
         ends = self._ends.get(layer)
         if ends is None or not len(points):
@@ -72,7 +73,7 @@ class Coverage:
 
 
 def coverage_colours(density: Any, shade: Any) -> npt.NDArray[np.float64]:
-    """Colour relative densities on a logarithmic scale, darkened where a surface turns away.
+    """Colour relative densities on a logarithmic scale; surfaces that turn away are darker.
 
     Parameters
     ----------
@@ -136,9 +137,11 @@ def coverage_figure(channels: dict[str, npt.NDArray[np.float32]], rays: RaySet) 
     bar.set_ticks([1 / 16, 1 / 4, 1, 4, 16], labels=["1/16", "1/4", "1", "4", "16"])
     bar.ax.minorticks_off()
     bar.ax.tick_params(labelsize=7)
-    bar.set_label("ray ends per area; 1 is evenly over all surfaces", fontsize=8)
+    bar.set_label("ray ends per area; 1 is uniform over all surfaces", fontsize=8)
     figure.legend(
         handles=[Patch(facecolor=str(_GREY), label="hardly any ray ends here")],
-        loc="outside lower center", frameon=False, fontsize=8,
-    )  # fmt: skip
+        loc="outside lower center",
+        frameon=False,
+        fontsize=8,
+    )
     return figure

@@ -14,7 +14,7 @@ from mibvh.mitsuba.costs import QUANTITIES
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Quantities that only rays that hit something have.
+#: Quantities that exist only for rays that hit something.
 _OF_HITS = ("leaf_depth", "overlap")
 _NOTHING = "#d9d9d9"
 _UNITS = {
@@ -39,7 +39,7 @@ def image_channels(image: Any, integrator: Any) -> dict[str, npt.NDArray[np.floa
     Returns
     -------
     dict of str to (H, W) float32
-        Of each name in ``integrator.aov_names()``.
+        One per name in ``integrator.aov_names()``.
     """
     pixels, names = np.array(image, dtype=np.float32), integrator.aov_names()
     first = pixels.shape[2] - len(names)
@@ -47,7 +47,7 @@ def image_channels(image: Any, integrator: Any) -> dict[str, npt.NDArray[np.floa
 
 
 def channel_means(channels: dict[str, npt.NDArray[np.float32]]) -> dict[str, float]:
-    """Mean of each channel, under a name that says of what.
+    """Mean of each channel, with names that say whether it is per ray or per hit.
 
     Parameters
     ----------
@@ -57,9 +57,9 @@ def channel_means(channels: dict[str, npt.NDArray[np.float32]]) -> dict[str, flo
     Returns
     -------
     dict of str to float
-        Over all rays under the channel's own name; of ``leaf_depth`` and ``overlap``, which only
-        rays that hit something have, over these, as ``NAME.overlap_per_hit``, and over all rays,
-        of which the others count 0, as ``NAME.overlap_per_ray``.
+        The mean over all rays has the channel's own name. ``leaf_depth`` and ``overlap`` exist
+        only for rays that hit something: ``NAME.overlap_per_hit`` is the mean over these rays,
+        ``NAME.overlap_per_ray`` the mean over all rays, where misses count as 0.
     """
     means: dict[str, float] = {}
     for name, values in channels.items():
@@ -78,15 +78,15 @@ def cost_figure(
 ) -> Figure:
     """Draw heat maps with their colour scales.
 
-    Trees stand side by side on one scale, with the difference beside them.
+    Two trees are drawn side by side on one scale, with the difference beside them.
 
     Parameters
     ----------
     channels : dict
         From :func:`image_channels` for ``bvh_cost``.
     quantities : sequence of str, optional
-        Of ``inner``, ``leaves``, ``triangles``, ``cost``, ``leaf_depth``, ``overlap``; all for
-        one tree, cost and overlap for two, by default.
+        Any of ``inner``, ``leaves``, ``triangles``, ``cost``, ``leaf_depth``, ``overlap``. By
+        default all for one tree, and cost and overlap for two.
 
     Returns
     -------
@@ -131,13 +131,15 @@ def cost_figure(
     if any(quantity in _OF_HITS for quantity in chosen) and (channels["hit"] == 0).any():
         figure.legend(
             handles=[Patch(facecolor=_NOTHING, label="the rays hit nothing")],
-            loc="outside lower center", frameon=False, fontsize=8,
-        )  # fmt: skip
+            loc="outside lower center",
+            frameon=False,
+            fontsize=8,
+        )
     return figure
 
 
 def check_quantities(names: Sequence[str]) -> None:
-    """Refuse names that no heat map has.
+    """Refuse unknown names of quantities.
 
     Raises
     ------
@@ -150,7 +152,7 @@ def check_quantities(names: Sequence[str]) -> None:
 
 
 def _map(channels: dict[str, Any], layer: str, quantity: str) -> npt.NDArray[Any]:
-    """One quantity per pixel; per ray that hits, and NaN where none does, if it is of hits."""
+    """One quantity per pixel. Quantities of hits are per hit, and NaN where no ray hits."""
     values, hit = channels[f"{layer}.{quantity}"], channels["hit"]
     if quantity not in _OF_HITS:
         return values
@@ -160,7 +162,7 @@ def _map(channels: dict[str, Any], layer: str, quantity: str) -> npt.NDArray[Any
 def _draw(
     figure: Figure, panel: Any, title: str, values: npt.NDArray[Any], top: float | None
 ) -> None:
-    """One map with its colour scale; around zero if there is no top value."""
+    """Draw one map with its colour scale, symmetric around zero if there is no top value."""
     import matplotlib as mpl
 
     from mibvh.plot.marks import SEQUENTIAL

@@ -1,4 +1,4 @@
-"""What the plugins read from a scene file: a builder, and its options."""
+"""Parameters that the plugins read from a scene file: a builder and its options."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mibvh.variant import mitsuba
 
 @dataclasses.dataclass(frozen=True)
 class Builder:
-    """A builder with its options, as a plugin's parameters name them.
+    """A builder and its options, as given in a plugin's parameters.
 
     Attributes
     ----------
@@ -29,8 +29,8 @@ class Builder:
     options: tuple[tuple[str, Any], ...] = ()
 
     def build(self, triangles: Triangles, progress: Any = None) -> tuple[Tree, Records]:
-        """Build the tree and its records, or take them from the last few built."""
-        # Records lie in the memory of the variant's backend.
+        """Build the tree and its records, or return cached ones."""
+        # Records are in the memory of the variant's backend.
         key = (mitsuba().variant(), triangles.digest, self)
         if key not in _trees:
             while len(_trees) >= _KEPT:
@@ -40,13 +40,13 @@ class Builder:
         return _trees[key]
 
 
-#: Trees of the last renders: neither an animation nor the passes of a render build again.
+#: Cached trees of the last renders: frames of an animation and passes of a render share them.
 _trees: dict[tuple[str, str, Builder], tuple[Tree, Records]] = {}
 _KEPT = 4
 
 
 def read_builder(props: Any, key: str, default: str, prefix: str = "") -> Builder:
-    """Read a builder and those of its options that are given.
+    """Read a builder and its given options.
 
     Parameters
     ----------
@@ -54,9 +54,9 @@ def read_builder(props: Any, key: str, default: str, prefix: str = "") -> Builde
     key : str
         The parameter that names the builder.
     default : str
-        The builder if there is none.
+        The builder if the parameter is not given.
     prefix : str
-        Stands before the names of the options.
+        Prefix of the options' names.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def read_builder(props: Any, key: str, default: str, prefix: str = "") -> Builde
 
 
 def refuse_unknown(props: Any, plugin: str) -> None:
-    """Refuse parameters that nobody has read, as Mitsuba does of its own plugins.
+    """Refuse parameters that were not read, as Mitsuba does for its own plugins.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def refuse_unknown(props: Any, plugin: str) -> None:
 
 
 def positive(props: Any, key: str, default: int) -> int:
-    """Read a whole number of at least 1.
+    """Read a positive integer.
 
     Raises
     ------
@@ -113,4 +113,4 @@ def plain_variant(plugin: str, variant: str) -> None:
         In a polarized variant.
     """
     if "polarized" in variant:
-        raise MibvhError(f"{plugin} knows no polarization; the variant {variant} asks for it")
+        raise MibvhError(f"{plugin} does not support polarization (variant {variant})")

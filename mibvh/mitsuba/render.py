@@ -121,9 +121,15 @@ def render(
     height, width = image.shape[:2]
     means = channel_means(image_channels(image, plugin))
     facts = {
-        "image": str(output), "integrator": integrator, "width": width, "height": height,
-        "spp": spp, "seed": seed, "variant": mi.variant(), "means": means,
-    }  # fmt: skip
+        "image": str(output),
+        "integrator": integrator,
+        "width": width,
+        "height": height,
+        "spp": spp,
+        "seed": seed,
+        "variant": mi.variant(),
+        "means": means,
+    }
     return facts, notes
 
 
@@ -168,13 +174,19 @@ def _mitsuba_scene(source: str, defines: dict[str, str]) -> Any:
     matrix = np.array(loaded.sensors[0].world_transform().matrix, dtype=float).reshape(4, 4)
     # The sky does not shine into a closed room, a lamp at the first camera does.
     lamp = {
-        "type": "point", "position": matrix[:3, 3].tolist(),
+        "type": "point",
+        "position": matrix[:3, 3].tolist(),
         "intensity": float(loaded.triangles.diagonal) ** 2,
-    }  # fmt: skip
-    return mi.load_dict({
-        "type": "scene", "mesh": mitsuba_mesh(loaded.triangles), "sky": {"type": "constant"},
-        "lamp": lamp, **{f"sensor_{i}": sensor for i, sensor in enumerate(loaded.sensors)},
-    })  # fmt: skip
+    }
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "mesh": mitsuba_mesh(loaded.triangles),
+            "sky": {"type": "constant"},
+            "lamp": lamp,
+            **{f"sensor_{i}": sensor for i, sensor in enumerate(loaded.sensors)},
+        }
+    )
 
 
 def _in_passes(
@@ -206,15 +218,19 @@ def _write_exr(mi: Any, image: npt.NDArray[np.float32], plugin: Any, path: Path)
     threads = dr.thread_count()
     dr.set_thread_count(max(threads, 2))  # on one thread, Mitsuba waits for itself for ever
     try:
-        bitmap.write(str(path), mi.Bitmap.FileFormat.OpenEXR)
+        path.write_bytes(_encoded(mi, bitmap, mi.Bitmap.FileFormat.OpenEXR))
     finally:
         dr.set_thread_count(threads)
 
 
 def _write_png(
-    mi: Any, image: npt.NDArray[np.float32], plugin: Any, integrator: str,
-    quantities: Sequence[str], path: Path,
-) -> None:  # fmt: skip
+    mi: Any,
+    image: npt.NDArray[np.float32],
+    plugin: Any,
+    integrator: str,
+    quantities: Sequence[str],
+    path: Path,
+) -> None:
     if integrator in ("bvh_cost", "bvh_rays"):
         channels = image_channels(image, plugin)
         figure = (
@@ -227,4 +243,11 @@ def _write_png(
     colours = image.shape[2] - len(plugin.aov_names())
     shown = image[..., : 3 if colours >= 3 else 1]
     bitmap = mi.util.convert_to_bitmap(np.ascontiguousarray(shown))
-    bitmap.write(str(path), mi.Bitmap.FileFormat.PNG)
+    path.write_bytes(_encoded(mi, bitmap, mi.Bitmap.FileFormat.PNG))
+
+
+def _encoded(mi: Any, bitmap: Any, kind: Any) -> bytes:
+    """Return an image file's bytes. Mitsuba itself does not say why a disk takes no more."""
+    stream = mi.MemoryStream()
+    bitmap.write(stream, kind)
+    return bytes(stream.raw_buffer())

@@ -17,10 +17,11 @@ from mibvh.plot.canvas import axes, named
 from mibvh.plot.marks import builder_colour, depth_curves, named_points
 from mibvh.tree import Tree
 from mibvh.triangles import F64, as_triangles
+from mibvh.wide_tree import WideTree
 
 DepthQuantity = Literal["nodes", "leaves", "leaf_size", "sah", "epo"]
 
-#: What :func:`by_depth` draws: the title, and what stands at the vertical axis.
+#: What :func:`by_depth` draws: the title, and the label of the vertical axis.
 _QUANTITIES: dict[str, tuple[str, str]] = {
     "nodes": ("Nodes by depth", "inner nodes and leaves"),
     "leaves": ("Leaves by depth", "leaves"),
@@ -33,17 +34,17 @@ _QUANTITIES: dict[str, tuple[str, str]] = {
 def by_depth(
     trees: Any, quantity: DepthQuantity = "nodes", triangles: Any = None, *, ax: Axes | None = None
 ) -> Axes:
-    """Draw how a quantity is spread over the depth of trees.
+    """Draw the distribution of a quantity over the depth of trees.
 
     Parameters
     ----------
-    trees : Tree, sequence of Tree, or mapping of name to Tree
+    trees : Tree or WideTree, sequence of these, or mapping of name to them
     quantity : str
         ``nodes``, ``leaves``, ``leaf_size`` (mean number of references), ``sah`` or ``epo`` (each
-        level's share of the cost). The legend gives the total of the tree; for ``leaf_size`` the
-        mean over all leaves.
+        level's contribution). The legend gives the tree's total; for ``leaf_size`` the mean over
+        all leaves.
     triangles : Triangles, Scene or (N, 3, 3) array
-        What the trees were built for; ``epo`` needs it.
+        What the trees were built for; required for ``epo``.
     ax : Axes, optional
 
     Returns
@@ -73,7 +74,7 @@ def by_depth(
     return axis
 
 
-def _of_levels(tree: Tree, quantity: str, triangles: Any) -> F64:
+def _of_levels(tree: Tree | WideTree, quantity: str, triangles: Any) -> F64:
     """(depth + 1,) float64: the quantity on each level."""
     levels, leaf = tree.depth + 1, tree.is_leaf
     if quantity == "epo":
@@ -89,18 +90,18 @@ def _of_levels(tree: Tree, quantity: str, triangles: Any) -> F64:
     return np.divide(references, leaves, out=np.full(levels, np.nan), where=leaves > 0)
 
 
-def _total(tree: Tree, quantity: str, values: F64) -> str:
+def _total(tree: Tree | WideTree, quantity: str, values: F64) -> str:
     if quantity == "leaf_size":
         return f"{tree.stats()['mean_leaf_size']:.2f}"
     return f"{values.sum():.4g}" if quantity in ("sah", "epo") else f"{int(values.sum()):,}"
 
 
 def leaf_sizes(trees: Any, *, ax: Axes | None = None) -> Axes:
-    """Draw how many of the leaves hold one triangle, two, and so on.
+    """Draw the share of leaves that have one triangle, two, and so on.
 
     Parameters
     ----------
-    trees : Tree, sequence of Tree, or mapping of name to Tree
+    trees : Tree or WideTree, sequence of these, or mapping of name to them
     ax : Axes, optional
 
     Returns
@@ -125,11 +126,11 @@ def leaf_sizes(trees: Any, *, ax: Axes | None = None) -> Axes:
 
 
 def sah_epo(trees: Any, triangles: Any, *, ax: Axes | None = None) -> Axes:
-    """Draw the EPO of trees against their SAH, a point each.
+    """Draw the EPO of trees against their SAH, one point per tree.
 
     Parameters
     ----------
-    trees : sequence of Tree, or mapping of name to Tree
+    trees : sequence of Tree or WideTree, or mapping of name to them
     triangles : Triangles, Scene or (N, 3, 3) array
         What they were built for.
     ax : Axes, optional
@@ -161,14 +162,14 @@ def predicted_measured(
     measurement: str = "measured cost",
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the measured cost of trees against a prediction, with the line of least squares.
+    """Draw the measured cost of trees against a prediction, with the least-squares line.
 
     Parameters
     ----------
     predicted, measured : mapping of name to value
         A dict or a pandas Series each, over the same trees.
     predictor, measurement : str
-        What they are, with the unit, for the axes.
+        Labels of the axes, with units.
     ax : Axes, optional
 
     Returns

@@ -1,4 +1,4 @@
-"""What all pictures share: colours, settings, named points, curves by depth."""
+"""Shared by all pictures: colours, settings, labelled points, curves by depth."""
 
 from __future__ import annotations
 
@@ -12,28 +12,51 @@ from matplotlib.ticker import MaxNLocator
 
 from mibvh.triangles import F64
 
-#: Settings of figures that mibvh makes itself; colours of text and page are left to the user.
+#: Settings of the figures that mibvh makes; colours of text and page are the user's.
 STYLE: Any = {
-    "font.size": 9, "axes.titlesize": 9.5, "axes.spines.top": False, "axes.spines.right": False,
-    "legend.frameon": False, "font.family": "sans-serif", "axes.linewidth": 0.7,
-    "xtick.major.width": 0.7, "ytick.major.width": 0.7, "axes.grid": True,
-    "grid.color": "#88888833", "grid.linewidth": 0.6, "axes.axisbelow": True,
-}  # fmt: skip
-#: Colour-blind safe (Okabe and Ito), readable on light and dark; shapes and dashes tell them apart
-#: a second time.
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8C8C00", "#8A8A8A",
-           "#A65ACD")  # fmt: skip
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "font.family": "sans-serif",
+    "axes.linewidth": 0.7,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "axes.grid": True,
+    "grid.color": "#88888833",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+}
+#: Colour-blind safe (Okabe and Ito), readable on light and dark backgrounds. Shapes and dashes
+#: distinguish the builders as well.
+COLOURS = (
+    "#0072B2",
+    "#E69F00",
+    "#009E73",
+    "#CC79A7",
+    "#D55E00",
+    "#56B4E9",
+    "#8C8C00",
+    "#8A8A8A",
+    "#A65ACD",
+)
 _SHAPES = "oDs^vPXpd"
 _DASHES = ("solid", (0, (4, 1.2)), (0, (1.2, 1)))
-#: Of quantities, on white: the darker, the more.
+#: Colour map of quantities on white: darker means more.
 SEQUENTIAL = "viridis_r"
-#: Where the name of a point may stand, as seen from it; the first that has room is taken.
+#: Directions in which a point's label may be placed.
 _DIRECTIONS = ((1, 0), (-1, 0), (0.7, 0.7), (0.7, -0.7), (-0.7, 0.7), (-0.7, -0.7), (0, 1), (0, -1))
 
 
 def builder_colour(place: int) -> str:
-    """Colour of a builder, by its place in the list."""
+    """Colour of a builder, by its index."""
     return COLOURS[place % len(COLOURS)]
+
+
+def literal(name: str) -> str:
+    """Return a name so that matplotlib writes it as it is: a pair of ``$`` begins no formula."""
+    return name.replace("$", r"\$")
 
 
 def named_points(
@@ -50,7 +73,7 @@ def named_points(
     Parameters
     ----------
     axis : Axes
-        Of its final size, as names are placed where there is room.
+        Of its final size, as labels are placed where there is room.
     names : sequence of str
     x, y : (K,) array
     line : bool
@@ -65,15 +88,22 @@ def named_points(
         axis.plot(ends, intercept + slope * ends, color="#888888", lw=1, zorder=1)
     for i in range(len(names)):
         axis.plot(
-            across[i : i + 1], up[i : i + 1], _SHAPES[i % len(_SHAPES)], ms=6.5,
-            color=builder_colour(i), zorder=3, mec="white", mew=0.5, gid=gids[i] if gids else None,
-        )  # fmt: skip
+            across[i : i + 1],
+            up[i : i + 1],
+            _SHAPES[i % len(_SHAPES)],
+            ms=6.5,
+            color=builder_colour(i),
+            zorder=3,
+            mec="white",
+            mew=0.5,
+            gid=gids[i] if gids else None,
+        )
     axis.margins(0.16, 0.1)
     _label_points(axis, names, across, up)
 
 
 def _label_points(axis: Axes, labels: Sequence[str], x: F64, y: F64) -> None:
-    """Name the points where there is room: near each, clear of the others and their names."""
+    """Label the points where there is room: near each, clear of the others and their labels."""
     low, high = (np.array(limits) for limits in zip(axis.get_xlim(), axis.get_ylim(), strict=True))
     box = axis.get_window_extent()
     size = np.array([box.width, box.height]) * 72 / axis.figure.dpi
@@ -98,11 +128,13 @@ def _label_points(axis: Axes, labels: Sequence[str], x: F64, y: F64) -> None:
             ends = np.stack([points[i], nearest]) / size * (high - low) + low
             axis.plot(ends[:, 0], ends[:, 1], color="#888888", lw=0.6, zorder=2)
         x_text, y_text = centre / size * (high - low) + low
-        axis.text(x_text, y_text, labels[i], fontsize=8, ha="center", va="center", zorder=4)
+        axis.text(
+            x_text, y_text, literal(labels[i]), fontsize=8, ha="center", va="center", zorder=4
+        )
 
 
 def _overlap(one: F64, many: F64) -> float:
-    """Area of a rectangle (two corners) that lies in others, summed."""
+    """Summed area of the overlap of one rectangle (two corners) with others."""
     if not len(many):
         return 0.0
     edges = np.minimum(one[2:], many[:, 2:]) - np.maximum(one[:2], many[:, :2])
@@ -123,7 +155,11 @@ def depth_curves(
     """
     for i, (label, values) in enumerate(curves.items()):
         axis.plot(
-            np.asarray(values), lw=1.5, color=builder_colour(i), ls=_DASHES[i % len(_DASHES)],
-            label=label, gid=gids[i] if gids else None,
-        )  # fmt: skip
+            np.asarray(values),
+            lw=1.5,
+            color=builder_colour(i),
+            ls=_DASHES[i % len(_DASHES)],
+            label=literal(label),
+            gid=gids[i] if gids else None,
+        )
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -1,4 +1,4 @@
-"""One sheet that shows a tree."""
+"""An overview of a tree on one sheet."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from mibvh.plot.slices import overlap_slice
 from mibvh.plot.wireframe import wireframe
 from mibvh.scene import Scene
 from mibvh.tree import Tree
+from mibvh.wide_tree import WideTree
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def overview(tree: Tree, scene: Scene, *, depth: int = 6, viewpoint: int = 0) -> Figure:
+def overview(tree: Tree | WideTree, scene: Scene, *, depth: int = 6, viewpoint: int = 0) -> Figure:
     """Draw a tree on one sheet: its boxes, where they overlap, where its cost is.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     scene : Scene
         What it was built for.
     depth : int
-        Of the boxes in the wireframe.
+        Depth of the boxes in the wireframe.
     viewpoint : int
         Index of ``scene.sensors``.
 

@@ -1,4 +1,4 @@
-"""Slices: how many boxes hold each point of a plane through the scene."""
+"""Slices: how many boxes contain each point of a plane through the scene."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from mibvh.plot.canvas import axes
 from mibvh.plot.marks import SEQUENTIAL
 from mibvh.tree import Tree
 from mibvh.triangles import F64, I32, Triangles, as_triangles
+from mibvh.wide_tree import WideTree
 
 #: Points on the longer side of a slice.
 _RESOLUTION = 512
@@ -20,14 +21,14 @@ _RESOLUTION = 512
 SliceQuantity = Literal["leaves", "nodes", "foreign"]
 
 _QUANTITIES: dict[str, tuple[str, str]] = {
-    "leaves": ("leaf boxes that hold a point", "leaf boxes"),
-    "nodes": ("boxes, inner and leaf, that hold a point", "boxes"),
+    "leaves": ("leaf boxes that contain a point", "leaf boxes"),
+    "nodes": ("boxes, inner and leaf, that contain a point", "boxes"),
     "foreign": ("end-point overlap on the surfaces", "extra cost to find the point"),
 }
 
 
 def overlap_slice(
-    tree: Tree,
+    tree: Tree | WideTree,
     triangles: Any,
     quantity: SliceQuantity = "leaves",
     *,
@@ -36,24 +37,24 @@ def overlap_slice(
     vmax: float | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Cut a plane through the scene and colour it by the boxes that overlap there.
+    """Colour a plane through the scene by the boxes that overlap there.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles, Scene or (N, 3, 3) array
         What it was built for.
     quantity : str
-        ``leaves``: how many leaf boxes hold each point of the plane. ``nodes``: the same of all
-        boxes. ``foreign``: drawn where the plane cuts the surfaces only, the cost of the boxes
-        that hold the point but not its triangle; its mean over all surfaces is the EPO.
+        ``leaves``: number of leaf boxes that contain each point of the plane. ``nodes``: the
+        same for all boxes. ``foreign``: cost of the boxes that contain a point but not its
+        triangle, drawn where the plane cuts a surface; its mean over all surfaces is the EPO.
     axis : str, optional
-        What the plane is perpendicular to; the shortest side of the scene by default, so that
-        most scenes are seen from above.
+        Axis perpendicular to the plane. By default the shortest side of the scene, so that most
+        scenes are seen from above.
     at : float, optional
-        Where on that axis, in scene units; by default half of the triangles are on either side.
+        Position on that axis, in scene units; by default the median triangle.
     vmax : float, optional
-        Value at the end of the colour scale, to compare pictures; the largest by default.
+        Upper end of the colour scale, to compare pictures; by default the largest value.
     ax : Axes, optional
 
     Returns
@@ -63,7 +64,7 @@ def overlap_slice(
     Raises
     ------
     MibvhError
-        For another quantity or axis, a plane beside the scene, or triangles of another tree.
+        For an unknown quantity or axis, a plane outside the scene, or triangles of another tree.
     """
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
@@ -91,20 +92,20 @@ def overlap_slice(
 
 
 def _plane(triangles: Triangles, axis: str | None, at: float | None) -> tuple[int, float]:
-    """Number of the axis, and the place on it."""
+    """Index of the axis, and the position on it."""
     if axis not in (None, "x", "y", "z"):
         raise MibvhError(f"the axis of a slice is x, y or z, not {axis!r}")
     lower, upper = triangles.bounds.astype(np.float64)
     normal = int((upper - lower).argmin()) if axis is None else "xyz".index(axis)
     if at is None:
         centers = triangles.lower[:, normal] / 2 + triangles.upper[:, normal] / 2
-        # A hair beside it, where a symmetric scene has walls and box faces in common.
+        # Slightly off the median: there a symmetric scene has walls and box faces in common.
         place = min(float(np.median(centers)) + 3e-4 * (upper - lower)[normal], upper[normal])
     else:
         place = float(at)
     if not lower[normal] <= place <= upper[normal]:
         raise MibvhError(
-            f"the plane at {'xyz'[normal]} = {place:g} is beside {triangles.name}, which reaches "
+            f"the plane at {'xyz'[normal]} = {place:g} is outside {triangles.name}, which extends "
             f"from {lower[normal]:g} to {upper[normal]:g}"
         )
     return normal, place
@@ -112,7 +113,7 @@ def _plane(triangles: Triangles, axis: str | None, at: float | None) -> tuple[in
 
 def _draw_plane(
     canvas: Axes,
-    tree: Tree,
+    tree: Tree | WideTree,
     normal: int,
     place: float,
     window: tuple[F64, F64],
@@ -132,11 +133,17 @@ def _draw_plane(
     counts = weight_at(tree, points, weights).reshape(rows, columns)
     extent = (lower[0], upper[0], lower[1], upper[1])
     top = max(int(counts.max() if vmax is None else vmax), 1)
-    few = top <= 12  # then a colour for each number, rather than a ramp
+    few = top <= 12  # a colour for each number instead of a continuous scale
     norm = mpl.colors.BoundaryNorm(np.arange(-0.5, top + 1), 256) if few else None
     limits = {"norm": norm} if few else {"vmin": 0, "vmax": top}
-    drawn = canvas.imshow(np.ma.masked_equal(counts, 0), origin="lower", extent=extent,
-                          cmap=SEQUENTIAL, interpolation="nearest", **limits)  # fmt: skip
+    drawn = canvas.imshow(
+        np.ma.masked_equal(counts, 0),
+        origin="lower",
+        extent=extent,
+        cmap=SEQUENTIAL,
+        interpolation="nearest",
+        **limits,
+    )
     bar = canvas.figure.colorbar(
         drawn, ax=canvas, label=f"{_QUANTITIES[quantity][1]} (white: none)"
     )
@@ -146,18 +153,18 @@ def _draw_plane(
 
 
 def _section(triangles: Triangles, normal: int, place: float) -> tuple[F64, I32]:
-    """Where the plane cuts the triangles.
+    """Segments in which the plane cuts the triangles.
 
     Returns
     -------
     segments : (S, 2, 3) float64
-        Triangles that lie in the plane have none.
+        Triangles in the plane have none.
     ids : (S,) int32
     """
     above = triangles.corners[:, :, normal] >= place
     ids = np.flatnonzero(above.any(axis=1) & ~above.all(axis=1)).astype(np.int32)
     corners, above = triangles.corners[ids].astype(np.float64), above[ids]
-    # The corner that is alone on its side first; the plane cuts the two edges that meet in it.
+    # First the corner that is alone on its side: the plane cuts the two edges that meet there.
     alone = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), above.argmin(axis=1))
     order = (alone[:, None] + np.arange(3)) % 3
     corners = np.take_along_axis(corners, order[:, :, None], axis=1)
@@ -168,14 +175,14 @@ def _section(triangles: Triangles, normal: int, place: float) -> tuple[F64, I32]
 
 def _draw_section(
     canvas: Axes,
-    tree: Tree,
+    tree: Tree | WideTree,
     triangles: Triangles,
     segments: F64,
     ids: I32,
     normal: int,
     vmax: float | None,
 ) -> None:
-    """Draw the section in pieces about as long as a point of the picture."""
+    """Draw the section in pieces about as long as a pixel."""
     step = float(np.ptp(np.delete(triangles.bounds, normal, axis=1), axis=0).max()) / _RESOLUTION
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     pieces = np.clip(np.ceil(lengths / max(step, 1e-30)), 1, _RESOLUTION).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Wireframes: the boxes at a depth of a tree, over what a viewpoint sees."""
+"""Wireframes: the boxes at a depth of a tree, drawn over a view of the scene."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ from mibvh.scene import Scene
 from mibvh.tree import Tree
 from mibvh.triangles import F64, I32
 from mibvh.variant import mitsuba
+from mibvh.wide_tree import WideTree
 
-#: Points of an edge whose visibility is looked up.
+#: Points per edge at which visibility is tested.
 _PIECES = 96
 #: Corners of a box, as bits x, y, z for the upper end; edges join those that differ in one bit.
 _EDGES = np.array([(a, a | bit) for bit in (1, 2, 4) for a in range(8) if not a & bit])
 
 
 def wireframe(
-    tree: Tree,
+    tree: Tree | WideTree,
     scene: Scene,
     depth: int = 6,
     *,
@@ -36,25 +37,25 @@ def wireframe(
     samples: int = 0,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the boxes of a depth over a render of the scene.
+    """Draw the boxes at a depth over a render of the scene.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     scene : Scene
         What it was built for, with a perspective camera.
     depth : int
-        Of the nodes drawn; leaves that end above it are drawn too, so that no triangle is left
-        out.
+        Depth of the nodes drawn. Leaves above it are drawn as well, so that every triangle is in
+        a box.
     viewpoint : int
         Index of ``scene.sensors``.
     values : (M,) array, optional
-        A number for each node, to colour it by; for instance what
-        :func:`mibvh.epo_per_node` returns. By default neighbours have different colours.
+        A number per node that sets its colour, for instance from :func:`mibvh.epo_per_node`. By
+        default neighbours have different colours.
     label : str
-        What the values are, with the unit.
+        Label of the values, with the unit.
     hidden : bool
-        Whether edges behind surfaces are drawn too, faintly.
+        Whether edges behind surfaces are drawn as well, faintly.
     width, samples : int
         Of the render, as for :func:`mibvh.picture.picture`; by default it is lit from the camera.
     ax : Axes, optional
@@ -66,8 +67,8 @@ def wireframe(
     Raises
     ------
     MibvhError
-        If the depth is negative, the tree is another scene's, there is no such viewpoint, or its
-        camera is not a perspective one.
+        If the depth is negative, the tree was built for another scene, there is no such
+        viewpoint, or its camera is not perspective.
     """
     if depth < 0:
         raise MibvhError(f"the depth of a wireframe must not be negative, not {depth}")
@@ -117,7 +118,7 @@ def _lines(
 
 
 class _Camera:
-    """A perspective camera as numbers: where it is, where it looks, where points fall on film."""
+    """A perspective camera: its position and frame, and its projection onto the film."""
 
     def __init__(self, scene: Scene, viewpoint: int) -> None:
         mi = mitsuba()
@@ -127,7 +128,7 @@ class _Camera:
         self.origin, self.frame = matrix[:3, 3], frame
         reach = max(scene.triangles.diagonal, 1e-20)
         self.near = 1e-4 * reach
-        # The film place of points one to the right, one up, and straight ahead tells the rest.
+        # Where points to the right, above and straight ahead fall on the film gives the rest.
         local = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]) * reach
         place = mi.Interaction3f()
         place.p = mi.Point3f((self.origin + local @ frame.T).T.astype(np.float32))
@@ -135,15 +136,15 @@ class _Camera:
             sampled, _ = sensor.sample_direction(place, mi.Point2f(0.5))
         except RuntimeError:
             raise MibvhError(
-                f"{scene.name}: viewpoint {viewpoint} is no perspective camera, so that boxes "
-                "cannot be drawn over what it sees"
+                f"{scene.name}: viewpoint {viewpoint} is no perspective camera, so boxes "
+                "cannot be drawn over its view"
             ) from None
         film = np.array(sensor.film().crop_size(), dtype=np.float64)
         right, up, self.center = np.array(sampled.uv, dtype=np.float64).T / film
         self.scale = np.array([(right - self.center)[0], (up - self.center)[1]])
 
-    def edges(self, tree: Tree, nodes: I32) -> tuple[F64, I32, npt.NDArray[np.bool_]]:
-        """Edges of boxes, as far as they are on the film, cut where surfaces hide them.
+    def edges(self, tree: Tree | WideTree, nodes: I32) -> tuple[F64, I32, npt.NDArray[np.bool_]]:
+        """Edges of boxes inside the film, cut where surfaces hide them.
 
         Returns
         -------
@@ -165,7 +166,7 @@ class _Camera:
         low, high = _inside_unit_square(film)
         on = low < high
         ends, film, owner, low, high = ends[on], film[on], owner[on], low[on], high[on]
-        # Evenly spread over the film; in space, depths enter as their reciprocals.
+        # Uniform on the film; in space, reciprocal depths are interpolated.
         at = np.linspace(low, high, _PIECES + 1, axis=1)
         middle = (at[:, 1:] + at[:, :-1]) / 2
         z0, z1 = ends[:, :1, 2], ends[:, 1:, 2]
@@ -174,7 +175,7 @@ class _Camera:
         return _runs(film, at, self._visible(local @ self.frame.T + self.origin), owner)
 
     def _before(self, ends: F64) -> tuple[F64, npt.NDArray[np.bool_]]:
-        """Cut edges off where they are behind the camera; also returns which are left."""
+        """Cut edges off behind the camera; also returns which edges remain."""
         kept = np.any(ends[:, :, 2] > self.near, axis=1)
         ends = ends[kept]
         for i in (0, 1):
@@ -188,7 +189,7 @@ class _Camera:
         """Whether no surface is between the camera and each point of (E, K, 3)."""
         mi = mitsuba()
         way = points.reshape(-1, 3) - self.origin
-        # Boxes touch the surfaces in them: what is nearly there counts as seen.
+        # Boxes touch the surfaces inside them: a point just before a surface counts as seen.
         ray = mi.Ray3f(mi.Point3f(self.origin.tolist()), mi.Vector3f(way.T.astype(np.float32)))
         ray.maxt = mi.Float(1.0 - 2e-3)
         hit = self.scene.geometry.ray_intersect_preliminary(ray)
@@ -201,7 +202,7 @@ def _inside_unit_square(film: F64) -> tuple[F64, F64]:
     start, run = film[:, 0], film[:, 1] - film[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = -start / run, (1 - start) / run
-    # A line along a border stays on its side of it.
+    # A line parallel to a border stays on its side.
     inside = (start >= 0) & (start <= 1)
     enter = np.where(run != 0, np.minimum(a, b), np.where(inside, -np.inf, np.inf))
     leave = np.where(run != 0, np.maximum(a, b), np.where(inside, np.inf, -np.inf))
@@ -211,7 +212,7 @@ def _inside_unit_square(film: F64) -> tuple[F64, F64]:
 def _runs(
     film: F64, at: F64, visible: npt.NDArray[np.bool_], owner: I32
 ) -> tuple[F64, I32, npt.NDArray[np.bool_]]:
-    """Join neighbouring pieces of an edge that are both seen or both hidden."""
+    """Join adjacent pieces of an edge that are both visible or both hidden."""
     starts = np.ones_like(visible)
     starts[:, 1:] = visible[:, 1:] != visible[:, :-1]
     edge, piece = np.nonzero(starts)

@@ -64,8 +64,18 @@ def diffuse_rays(
     """
     check(bounces=bounces)
     rays = collect(
-        load(scene), KINDS["diffuse"], 1, bounces, KindOptions(), viewpoints=viewpoints,
-        width=width, height=height, samples=samples, seed=seed, sort=sort, progress=progress,
-    )  # fmt: skip
+        load(scene),
+        KINDS["diffuse"],
+        1,
+        bounces,
+        KindOptions(),
+        viewpoints=viewpoints,
+        width=width,
+        height=height,
+        samples=samples,
+        seed=seed,
+        sort=sort,
+        progress=progress,
+    )
     rays.meta.update({"bounces": bounces, "kind": "diffuse", "occlusion": False})
     return rays

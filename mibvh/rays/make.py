@@ -81,9 +81,19 @@ def make_rays(
     of, vertex = kind_named(kind)
     scene = load(scene)
     rays = collect(
-        scene, of, vertex, vertex, KindOptions(radius, radius_share), viewpoints=viewpoints,
-        width=width, height=height, samples=samples, seed=seed, sort=sort, progress=progress,
-    )  # fmt: skip
+        scene,
+        of,
+        vertex,
+        vertex,
+        KindOptions(radius, radius_share),
+        viewpoints=viewpoints,
+        width=width,
+        height=height,
+        samples=samples,
+        seed=seed,
+        sort=sort,
+        progress=progress,
+    )
     meta = {"kind": kind, "occlusion": of.occlusion}
     if of.name == "ao":
         meta["radius"] = float(rays.tmax[0])
@@ -127,11 +137,18 @@ def collect(
     if not parts:
         raise MibvhError(f"{scene.name}: there are no {kind.name} rays that leave vertex {first}")
     meta = {
-        "scene": scene.name, "digest": scene.triangles.digest, "seed": seed, "width": width,
-        "height": height, "samples": samples, "viewpoints": views,
-        "order": "morton" if sort else "path", "primary_rays": views * width * height * samples,
-        "primary_hits": hits, "self_hits": self_hits,
-    }  # fmt: skip
+        "scene": scene.name,
+        "digest": scene.triangles.digest,
+        "seed": seed,
+        "width": width,
+        "height": height,
+        "samples": samples,
+        "viewpoints": views,
+        "order": "morton" if sort else "path",
+        "primary_rays": views * width * height * samples,
+        "primary_hits": hits,
+        "self_hits": self_hits,
+    }
     rays = joined(parts, meta)
     if self_hits > MOST_SELF_HITS * len(rays):
         raise MibvhError(
@@ -190,9 +207,13 @@ def _part(
     tmax = np.broadcast_to(np.array(rays.maxt, dtype=np.float32), n)
     tmax = np.where(tmax < np.finfo(np.float32).max, tmax, np.inf)
     part = RaySet(
-        np.array(rays.o, dtype=np.float32).T, np.array(rays.d, dtype=np.float32).T, tmax,
-        np.full(n, view), np.full(n, vertex), source,
-    )  # fmt: skip
+        np.array(rays.o, dtype=np.float32).T,
+        np.array(rays.d, dtype=np.float32).T,
+        tmax,
+        np.full(n, view),
+        np.full(n, vertex),
+        source,
+    )
     return [part], hit_self
 
 

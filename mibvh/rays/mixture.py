@@ -48,7 +48,9 @@ class Mixture:
         value : callable
             From a ray set to a mean over its rays, such as the counted cost of a tree.
         """
-        told = [value(part) if weight else 0.0
-                for part, weight in zip(self.parts, self.weights, strict=True)]  # fmt: skip
+        told = [
+            value(part) if weight else 0.0
+            for part, weight in zip(self.parts, self.weights, strict=True)
+        ]
         weighted = (weight * v for weight, v in zip(self.weights, told, strict=True))
         return sum(weighted) / sum(self.weights)

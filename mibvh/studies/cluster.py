@@ -9,10 +9,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import logging
 import os
+import socket
 import tempfile
+import time
 import uuid
 from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -29,7 +33,11 @@ from mibvh.studies.record.scene import SceneRecord
 #: What a worker offers to be given scenes, and how one is started.
 RESOURCE = "mibvh"
 _HOW = f'dask worker ADDRESS --nthreads 1 --resources "{RESOURCE}=1"'
-_SECONDS_TO_CONNECT = 10
+_SECONDS_TO_CONNECT, _SECONDS_TO_CLOSE, _SECONDS_BETWEEN_LOOKS = 5, 5, 1
+#: A nanny restarts a worker that died within a few seconds.
+_SECONDS_WITHOUT_WORKER = 30
+#: Protocols of addresses that have a host and a port, and the port if none is said.
+_PROTOCOLS, _DEFAULT_PORT = ("tcp", "tls", "ws", "wss"), 8786
 
 
 def study_on_cluster(
@@ -55,30 +63,96 @@ def study_on_cluster(
     Raises
     ------
     MibvhError
-        If Dask is not installed, no scheduler or fitting worker answers, a scene is no file or
-        name, a scene cannot be studied, or every worker that tried it died.
+        If Dask is not installed, no scheduler or fitting worker answers, at first or later on, a
+        scene is no file or name, a scene cannot be studied, or every worker that tried it died.
     """
     named = [_named(source) for source in sources]
     distributed = _distributed()
+    _check_address(address)
+    with _quiet():
+        try:
+            client = distributed.Client(address, timeout=_SECONDS_TO_CONNECT, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise MibvhError(
+                f"--scheduler {address}: no Dask scheduler answers ({error})"
+            ) from None
+        try:
+            _check_workers(client, address)
+            topic = f"mibvh-{uuid.uuid4().hex}"
+            client.subscribe_topic(topic, lambda event: listener(Progress(*event[1])))
+            # A key of its own each time: asking again must not bring back an old failure.
+            futures = [
+                client.submit(_study_one, name, options, topic, key=f"{name}-{topic}",
+                              resources={RESOURCE: 1})
+                for name in named
+            ]  # fmt: skip
+            for name, future in zip(named, futures, strict=True):
+                yield SceneRecord.from_json(_result(client, future, name, address))
+        finally:
+            client.close(timeout=_SECONDS_TO_CLOSE)
+
+
+def _result(client: Any, future: Any, name: str, address: str) -> dict[str, Any]:
+    """Wait for a scene's record; say what is missing if it cannot come."""
+    from distributed import KilledWorker
+
+    waits = f"--scheduler {address}: {name} waits"
+    seen = time.monotonic()
+    while True:
+        try:
+            return dict(future.result(timeout=_SECONDS_BETWEEN_LOOKS))
+        except TimeoutError:
+            pass
+        except MibvhError:
+            raise
+        except KilledWorker as error:
+            last = getattr(error.last_worker, "address", "")
+            raise MibvhError(
+                f"{name}: every worker that tried this scene died{last and f', at last {last}'}"
+            ) from None
+        # The scheduler is gone, and the future with it; or the worker has no mibvh, or another.
+        except (Exception, CancelledError) as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            raise MibvhError(f"{waits} in vain ({reason})") from None
+        now = time.monotonic()
+        if client.status != "running":
+            raise MibvhError(f"{waits}, but the scheduler is gone; the same command goes on")
+        if _ours(client):
+            seen = now
+        elif now - seen > _SECONDS_WITHOUT_WORKER:
+            raise MibvhError(
+                f"{waits}, but no worker has offered the resource {RESOURCE} for "
+                f"{_SECONDS_WITHOUT_WORKER} s; start one with: {_HOW}"
+            )
+
+
+def _check_address(address: str) -> None:
+    """See at once that something listens where the scheduler should be: Dask tries for long."""
+    from distributed.comm.addressing import parse_address, parse_host_port
+
     try:
-        client = distributed.Client(address, timeout=_SECONDS_TO_CONNECT, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise MibvhError(f"--scheduler {address}: no Dask scheduler answers ({error})") from None
-    with client:
-        _check_workers(client, address)
-        topic = f"mibvh-{uuid.uuid4().hex}"
-        client.subscribe_topic(topic, lambda event: listener(Progress(*event[1])))
-        # A key of its own each time: asking again must not bring back an old failure.
-        futures = [
-            client.submit(_study_one, name, options, topic, key=f"{name}-{topic}",
-                          resources={RESOURCE: 1})
-            for name in named
-        ]  # fmt: skip
-        for name, future in zip(named, futures, strict=True):
-            try:
-                yield SceneRecord.from_json(future.result())
-            except distributed.KilledWorker:
-                raise MibvhError(f"{name}: every worker that tried this scene died") from None
+        kind, place = parse_address(address)
+        if kind not in _PROTOCOLS:
+            return  # Dask says what it makes of these
+        host, port = parse_host_port(place, _DEFAULT_PORT)
+        socket.create_connection((host, port), timeout=_SECONDS_TO_CONNECT).close()
+    except (OSError, ValueError, TypeError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise MibvhError(f"--scheduler {address}: no Dask scheduler answers ({reason})") from None
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Dask from telling in many lines what is said in a sentence here."""
+    loggers = [logging.getLogger(name) for name in ("distributed", "tornado", "asyncio")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
 
 
 def _distributed() -> Any:
@@ -100,11 +174,11 @@ def _named(source: Any) -> str:
 
 def _check_workers(client: Any, address: str) -> None:
     """See that there is a worker, and that those that take scenes do nothing else meanwhile."""
-    workers = client.scheduler_info(n_workers=-1)["workers"]
-    ours = {name: w for name, w in workers.items() if RESOURCE in w["resources"]}
+    count = len(client.scheduler_info(n_workers=-1)["workers"])
+    ours = _ours(client)
     if not ours:
         raise MibvhError(
-            f"--scheduler {address}: none of its {len(workers)} workers offers the resource "
+            f"--scheduler {address}: none of its {count} workers offers the resource "
             f"{RESOURCE}; start them with: {_HOW}"
         )
     for name, worker in ours.items():
@@ -113,6 +187,12 @@ def _check_workers(client: Any, address: str) -> None:
                 f"--scheduler {address}: worker {name} has {worker['nthreads']} threads and could "
                 f"do other work while it measures; start it with: {_HOW}"
             )
+
+
+def _ours(client: Any) -> dict[str, Any]:
+    """The workers that take scenes, by their addresses."""
+    workers = client.scheduler_info(n_workers=-1)["workers"]
+    return {name: w for name, w in workers.items() if RESOURCE in w["resources"]}
 
 
 def _study_one(source: str, options: StudyOptions, topic: str) -> dict[str, Any]:
@@ -124,8 +204,14 @@ def _study_one(source: str, options: StudyOptions, topic: str) -> dict[str, Any]
     def listener(step: Progress) -> None:
         worker.log_event(topic, dataclasses.astuple(step))
 
-    with _machine_to_ourselves():
-        return study_scene(load(source), options, _store(), listener).to_json()
+    try:
+        with _machine_to_ourselves():
+            return study_scene(load(source), options, _store(), listener).to_json()
+    except MibvhError as error:
+        raise MibvhError(f"on worker {worker.address}: {error}") from None
+    except Exception as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise MibvhError(f"on worker {worker.address}: {source}: {reason}") from error
 
 
 @functools.cache

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import inspect
 import json
 import os
+import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -15,11 +17,12 @@ from typing import TYPE_CHECKING, Any
 from mibvh.builders import names
 from mibvh.code import code_digest
 from mibvh.errors import MibvhError
-from mibvh.files import write_text
+from mibvh.files import file_name, write_text
 from mibvh.scene import load
 from mibvh.studies.analyse.depth import depth_table
 from mibvh.studies.analyse.rotation import rotation_factors
 from mibvh.studies.analyse.sensitivity import sensitivity_table
+from mibvh.studies.lock import alone_in
 from mibvh.studies.measure.scene import study_scene
 from mibvh.studies.measure.store import Store
 from mibvh.studies.measure.trees import TreeSource
@@ -27,6 +30,7 @@ from mibvh.studies.paper.catalogue import scenes_in, triangle_count_notes
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.progress import Listener, Progress
 from mibvh.studies.record.scene import FORMAT, SceneRecord
+from mibvh.studies.record.serialise import from_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,6 +42,19 @@ _KEPT = "scene-"
 _FINISHED = "study"
 #: The tables and figures that the last run wrote.
 _WRITTEN = "study-files"
+#: What the names of these look like, relative to the folder.
+_OUTPUT = re.compile(r"(?:tables|figures)/[^/\\]+\.(?:csv|tex|svg|png)")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Finished:
+    scenes: list[str]
+    format: int
+
+
+@dataclasses.dataclass(frozen=True)
+class _Written:
+    files: list[str]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -133,15 +150,27 @@ def study(
     Raises
     ------
     MibvhError
-        If a scene cannot be loaded, a builder is unknown, an option is out of range, or the
-        scheduler cannot be used.
+        If a scene cannot be loaded, a builder is unknown, an option is out of range, the
+        scheduler cannot be used, another study is at work in the folder, or it cannot be written.
     """
     options = _with_builders(options or StudyOptions(**choices))
     if not scenes:
         raise MibvhError("a study needs at least one scene")
-    store = Store(Path(folder) / "cache")
     sources = [part for given in scenes for part in scenes_in(given)]
-    listener = _listener(progress)
+    store = Store(Path(folder) / "cache")
+    with alone_in(Path(folder)):
+        return _study(sources, store, options, _listener(progress), scheduler)
+
+
+def _study(
+    sources: Sequence[Any],
+    store: Store,
+    options: StudyOptions,
+    listener: Listener,
+    scheduler: str | None,
+) -> Study:
+    """Study the scenes, keep the records, and write the outputs."""
+    folder = store.folder.parent
     if scheduler is None:
         found = _study_here(sources, options, store, listener)
     else:
@@ -153,11 +182,11 @@ def study(
         _refuse_twice(record.scene, [r.scene for r in records])
         notes = [*record.notes, *triangle_count_notes(record.scene, record.triangles)]
         records.append(dataclasses.replace(record, notes=notes))
-        store.write(_KEPT + record.scene, records[-1].to_json())
+        store.write(_KEPT + file_name(record.scene), records[-1].to_json())
         # The folder may hold scenes of other studies before this one.
         store.write(_FINISHED, {"scenes": [r.scene for r in records], "format": FORMAT})
-    write_outputs(Path(folder), records)
-    return Study(Path(folder), records, records[-1].environment)
+    write_outputs(folder, records)
+    return Study(folder, records, records[-1].environment)
 
 
 def _with_builders(options: StudyOptions) -> StudyOptions:
@@ -216,6 +245,7 @@ def write_outputs(folder: Path, records: Sequence[SceneRecord]) -> None:
     """Write the tables, the environment and the report of the scenes that are finished.
 
     Tables and figures of an earlier run that are not among those of this one are removed.
+    Whatever the records say, nothing outside the folder is written or removed.
     """
     from mibvh.studies.analyse.correlations import correlations
     from mibvh.studies.report.html import write_report
@@ -231,9 +261,46 @@ def write_outputs(folder: Path, records: Sequence[SceneRecord]) -> None:
     write_text(folder / "results.md", "\n".join(sheet.markdown() for sheet in sheets))
     written += write_report(folder, records, found, sheets, of_scenes)
     store = Store(folder / "cache")
-    for name in set((store.read(_WRITTEN) or {"files": []})["files"]) - set(written):
-        (folder / name).unlink(missing_ok=True)
+    for name in _written_before(store) - set(written):
+        with contextlib.suppress(OSError):
+            (folder / name).unlink()
     store.write(_WRITTEN, {"files": written})
+
+
+def _written_before(store: Store) -> set[str]:
+    """The tables and figures of the run before; names of other files are nobody's of ours."""
+    try:
+        found = from_json(_Written, store.read(_WRITTEN) or {"files": []})
+    except MibvhError:
+        return set()
+    return {name for name in found.files if _OUTPUT.fullmatch(name)}
+
+
+def remake_report(folder: str | os.PathLike[str]) -> Study:
+    """Write a study's tables and report anew, without measuring again.
+
+    The folder may be somebody else's: what stands in its records is taken for data.
+
+    Raises
+    ------
+    MibvhError
+        As of :func:`read_study`, or if the records make no sense, a study is at work in the
+        folder, or it cannot be written.
+    """
+    found = read_study(folder)
+    with alone_in(found.folder):
+        try:
+            write_outputs(found.folder, found.scenes)
+        except MibvhError:
+            raise
+        # The types are right, but not what they tell together: lists of other lengths, a picture
+        # that is none, quantities that are missing. Nearly anything can come of it.
+        except Exception as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            raise MibvhError(
+                f"{folder}: the records of this study cannot be made a report of ({reason})"
+            ) from error
+    return found
 
 
 def read_study(folder: str | os.PathLike[str]) -> Study:
@@ -250,15 +317,27 @@ def read_study(folder: str | os.PathLike[str]) -> Study:
     finished = store.read(_FINISHED) if store else None
     if store is None or finished is None:
         raise MibvhError(f"{folder}: there is no finished scene of a study in this folder")
-    if finished["format"] != FORMAT:
+    if isinstance(finished, dict) and finished.get("format", FORMAT) != FORMAT:
         raise MibvhError(
             f"{folder}: this study was made by another version of mibvh; run it again with this one"
         )
-    kept = [found for name in finished["scenes"] if (found := store.read(_KEPT + name))]
-    if len(kept) < len(finished["scenes"]):
-        raise MibvhError(f"{folder}: a scene of this study is damaged; run it again to mend it")
-    records = [_with_code_note(SceneRecord.from_json(found)) for found in kept]
+    try:
+        listed = from_json(_Finished, finished)
+        records = [_read_record(store, name) for name in listed.scenes]
+    except MibvhError:
+        raise MibvhError(
+            f"{folder}: a scene of this study is damaged; run it again to mend it"
+        ) from None
+    if not records:
+        raise MibvhError(f"{folder}: there is no finished scene of a study in this folder")
     return Study(Path(folder), records, records[-1].environment)
+
+
+def _read_record(store: Store, name: str) -> SceneRecord:
+    found = store.read(_KEPT + file_name(name))
+    if found is None:
+        raise MibvhError(f"{name}: damaged")
+    return _with_code_note(SceneRecord.from_json(found))
 
 
 def _with_code_note(record: SceneRecord) -> SceneRecord:

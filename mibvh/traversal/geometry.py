@@ -26,9 +26,15 @@ def inverse(d: Any) -> Any:
 
 def slabs(row: Any, at: int, o: Any, inv: Any) -> tuple[Any, Any]:
     """Where a ray enters and leaves the closed box whose corners stand at ``row[at:at + 6]``."""
-    ax, bx = (row[at] - o.x) * inv.x, (row[at + 3] - o.x) * inv.x
-    ay, by = (row[at + 1] - o.y) * inv.y, (row[at + 4] - o.y) * inv.y
-    az, bz = (row[at + 2] - o.z) * inv.z, (row[at + 5] - o.z) * inv.z
+    corners = [row[at + i] for i in range(6)]
+    return slabs_of(corners[:3], corners[3:], o, inv)
+
+
+def slabs_of(lower: Any, upper: Any, o: Any, inv: Any) -> tuple[Any, Any]:
+    """Where a ray enters and leaves the closed box of these corners."""
+    ax, bx = (lower[0] - o.x) * inv.x, (upper[0] - o.x) * inv.x
+    ay, by = (lower[1] - o.y) * inv.y, (upper[1] - o.y) * inv.y
+    az, bz = (lower[2] - o.z) * inv.z, (upper[2] - o.z) * inv.z
     near = larger(larger(smaller(ax, bx), smaller(ay, by)), larger(smaller(az, bz), 0.0))
     far = smaller(smaller(larger(ax, bx), larger(ay, by)), larger(az, bz))
     return near, far * _OUTWARD

@@ -138,21 +138,30 @@ class LanesFetch:
         self._first, self._end = self._schedule.rays()
 
     def __call__(self, records: Records, count: bool) -> Visits:
-        """Trace once. Every triangle is a leaf of its own."""
+        """Trace once."""
         import drjit as dr
 
         from mibvh.traversal.wide import walk_wide
 
         mi = mitsuba()
         t = dr.empty(mi.Float, self.count)
-        triangle, inner, tests = (dr.empty(mi.UInt32, self.count) for _ in range(3))
+        triangle, *counts = (dr.empty(mi.UInt32, self.count) for _ in range(5))
         walk_wide(
-            records, self._rows, self._first, self._end, self._schedule.lanes,
-            dr.opaque(mi.UInt32, self._schedule.burst), t, triangle, (inner, tests),
-            count=count, any_hit=self._any_hit,
-        )  # fmt: skip
-        dr.eval(t, triangle, inner, tests)
-        return Visits(t, triangle, inner, tests, tests)
+            records,
+            self._rows,
+            self._first,
+            self._end,
+            self._schedule.lanes,
+            dr.opaque(mi.UInt32, self._schedule.burst),
+            t,
+            triangle,
+            counts,
+            count=count,
+            any_hit=self._any_hit,
+        )
+        dr.eval(t, triangle, counts)
+        inner, boxes, leaves, tests = counts
+        return Visits(t, triangle, inner, leaves, tests, boxes)
 
     def fetch(self, column: Any) -> npt.NDArray[Any]:
         """One column as a NumPy array with an entry per ray."""

@@ -99,9 +99,17 @@ def new_lanes(count: int) -> Lanes:
 
     stack = np.zeros((count, MAX_DEPTH), np.int32)
     return Lanes(
-        codes(0), vectors(), vectors(), vectors(), np.zeros(count, np.float32),
-        codes(-1), codes(DONE), codes(DONE), stack, codes(0),
-    )  # fmt: skip
+        codes(0),
+        vectors(),
+        vectors(),
+        vectors(),
+        np.zeros(count, np.float32),
+        codes(-1),
+        codes(DONE),
+        codes(DONE),
+        stack,
+        codes(0),
+    )
 
 
 def new_visits(count: int) -> Visits:

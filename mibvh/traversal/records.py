@@ -15,10 +15,11 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
-from mibvh.traversal.collapse import collapse
+from mibvh.traversal.wide_rows import as_wide, wide_rows
 from mibvh.tree import MAX_DEPTH, Tree
 from mibvh.triangles import F32, Triangles, as_triangles
 from mibvh.variant import mitsuba
+from mibvh.wide_tree import WideTree
 
 Layout = Literal["binary", "wide"]
 
@@ -40,22 +41,40 @@ class Records:
     ----------
     rows : Float
         Rows of :data:`ROW` floats: inner nodes, then triangles in leaf order; in the wide
-        layout as :mod:`mibvh.traversal.collapse` has them.
+        layout as :mod:`mibvh.traversal.wide_rows` has them.
     root : int
         Code of the root; in the wide layout 1 for an inner node and 0 for a triangle.
     scale : float
         From scene units to the records' units; a power of two.
     layout : str
         ``binary`` or ``wide``.
+    wide : WideTree or None
+        What the wide layout was made of.
+    order : UInt32 or None
+        In the wide layout, the order of each node's children, where the tree has one
+        (:meth:`mibvh.WideTree.ordered`).
+    single : bool
+        In the wide layout, whether every leaf is one triangle.
     """
 
-    __slots__ = ("layout", "root", "rows", "scale")
+    __slots__ = ("layout", "order", "root", "rows", "scale", "single", "wide")
 
-    def __init__(self, rows: Any, root: int, scale: float, layout: Layout) -> None:
+    def __init__(
+        self,
+        rows: Any,
+        root: int,
+        scale: float,
+        layout: Layout,
+        wide: Any = None,
+        order: Any = None,
+    ) -> None:
         self.rows = rows
         self.root = root
         self.scale = scale
         self.layout = layout
+        self.wide = wide
+        self.order = order
+        self.single = wide is not None and bool((wide.count[wide.is_leaf] == 1).all())
 
 
 @njit
@@ -112,39 +131,47 @@ def _triangle_rows(corners, references, last):
     return rows
 
 
-def make_records(tree: Tree, triangles: Any, layout: Layout = "binary") -> Records:
+def make_records(tree: Tree | WideTree, triangles: Any, layout: Layout = "binary") -> Records:
     """Prepare a tree for tracing.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles or (N, 3, 3) array
         What the tree was built for.
     layout : "binary" or "wide"
-        The tree as it is, or collapsed to eight children per node
-        (:mod:`mibvh.traversal.collapse`).
+        A binary tree as it is; or a wide one, to which a binary one is collapsed
+        (:func:`mibvh.traversal.wide_rows.as_wide`).
 
     Raises
     ------
     MibvhError
-        If the tree was built for another geometry, or is too deep for the stack.
+        If the tree was built for another geometry, is too deep for the stack, or is a wide one
+        where a binary one is asked for.
     """
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
     scale = unit_scale(triangles)
-    if layout == "binary":
-        rows, root = binary_rows(tree, triangles)
-        return Records(own_memory(rows), root, float(scale), layout)
-    corners = triangles.corners * scale
-    shapes = _triangle_rows(corners, tree.references, np.ones_like(tree.references))
-    # Boxes may be larger than the scene; the grid of the wide rows is not.
-    lower, upper = (
-        np.clip(box * scale, corners.min(), corners.max()) for box in (tree.lower, tree.upper)
-    )
-    wide = collapse(tree, corners, lower, upper)
-    rows, root, depth = wide.rows(shapes)
-    _check_depth(depth)
+    if layout == "wide":
+        return _wide_records(as_wide(tree, triangles), triangles, scale)
+    if isinstance(tree, WideTree):
+        raise MibvhError("a wide tree is traced in the wide style, not in those of binary trees")
+    rows, root = binary_rows(tree, triangles)
     return Records(own_memory(rows), root, float(scale), layout)
+
+
+def _wide_records(wide: WideTree, triangles: Triangles, scale: np.float32) -> Records:
+    _check_depth(wide.depth)
+    shapes = _triangle_rows(
+        triangles.corners * scale, wide.references, np.zeros_like(wide.references)
+    )
+    rows, order, root = wide_rows(wide, shapes, scale)
+    ordered = None
+    if wide.meta.get("ordered"):
+        import drjit as dr
+
+        ordered = dr.reinterpret_array(mitsuba().UInt32, own_memory(order.view(np.float32)))
+    return Records(own_memory(rows), root, float(scale), "wide", wide, ordered)
 
 
 def binary_rows(tree: Tree, triangles: Triangles) -> tuple[F32, int]:

@@ -15,22 +15,30 @@ from mibvh.errors import MibvhError
 from mibvh.files import check_columns, read_arrays, write_arrays
 from mibvh.ranges import check
 from mibvh.rays import RaySet
+from mibvh.traversal.child_order import ChildOrder, child_priority
 from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.records import Layout, Records, make_records, unit_scale
 from mibvh.traversal.styles import find_style
 from mibvh.traversal.visits import Visits
+from mibvh.traversal.wide_rows import as_wide
 from mibvh.tree import Tree
 from mibvh.triangles import F32, I32, as_triangles
 from mibvh.variant import lane_width, mitsuba
+from mibvh.wide_tree import C_BOX, WideTree
 
 Lanes = Literal["simd", "scalar"]
 #: Name of a style in :data:`mibvh.traversal.styles.STYLES`.
 Style = str
 U32 = npt.NDArray[np.uint32]
 _COLUMNS = {
-    "t": "float32", "triangle": "int32", "inner": "uint32", "leaves": "uint32", "tests": "uint32",
+    "t": "float32",
+    "triangle": "int32",
+    "inner": "uint32",
+    "leaves": "uint32",
+    "tests": "uint32",
     "steps": "uint32",
-}  # fmt: skip
+    "boxes": "uint32",
+}
 _ARRAYS = (*_COLUMNS, "seconds")
 #: What else a file of hits tells.
 _FACTS = {"lanes": str, "lane_width": int, "issued": int, "style": str}
@@ -47,8 +55,8 @@ class Hits:
     triangle : (R,) int32
         Ids of the triangles hit; -1 for a miss.
     inner, leaves, tests : (R,) uint32
-        Inner nodes visited (all child boxes tested), leaves visited, triangles tested. A leaf
-        of the wide layout is one triangle.
+        Inner nodes visited (all child boxes tested), leaves visited, triangles tested. A binary
+        tree's leaves, traced in the wide style, are single triangles.
     steps : (R,) uint32
         Steps the ray's lane was busy for: inner nodes and triangles.
     seconds : (K,) float64
@@ -61,6 +69,8 @@ class Hits:
         Lane-steps that the packets went through, busy and idle lanes alike.
     style : str
         One of :data:`mibvh.traversal.styles.STYLES`.
+    boxes : (R,) uint32
+        Child boxes tested: two per inner node of a binary tree.
     """
 
     t: F32
@@ -74,6 +84,7 @@ class Hits:
     lane_width: int
     issued: int
     style: str
+    boxes: U32
 
     def __len__(self) -> int:
         return len(self.t)
@@ -86,7 +97,8 @@ class Hits:
     def lcv(self) -> float:
         """Leaf count variability: standard deviation over the rays of the leaves visited.
 
-        Of the wide style, whose leaves are single triangles, it is not the paper's.
+        Of a binary tree in the wide style, whose leaves are then single triangles, it is not the
+        paper's.
         """
         return float(np.std(self.leaves, dtype=np.float64))
 
@@ -100,13 +112,16 @@ class Hits:
         """Share of the issued lane-steps in which the lane had work."""
         return float(self.steps.sum(dtype=np.int64) / self.issued) if self.issued else 1.0
 
-    def counted_cost(self, c_inner: float = 1.2, c_tri: float = 1.0) -> float:
+    def counted_cost(self, c_inner: float = 1.2, c_tri: float = 1.0, c_box: float = C_BOX) -> float:
         """Mean over the rays of ``c_inner * inner + c_tri * tests``: cost without a stopwatch.
 
-        Of the wide style, this is the cost of a tree with eight children per node: not to be set
-        beside another style's, nor beside SAH and EPO.
+        Each child box of a node beyond its second costs ``c_box`` more, so that this is a wide
+        tree's cost in the units of its SAH and EPO. Of a binary tree in the wide style, it is the
+        cost of the tree that it was collapsed to: not to be set beside its own SAH and EPO.
         """
-        return float(c_inner * self.inner.mean() + c_tri * self.tests.mean())
+        further = float(self.boxes.sum(dtype=np.int64) - 2 * self.inner.sum(dtype=np.int64))
+        cost = float(c_inner * self.inner.mean() + c_tri * self.tests.mean())
+        return cost + c_box * further / len(self)
 
     def counters(self) -> dict[str, Any]:
         """Return what was counted, as JSON-able values.
@@ -119,6 +134,7 @@ class Hits:
         """
         of_tree = {
             "inner_per_ray": float(self.inner.mean()),
+            "boxes_per_ray": float(self.boxes.mean()),
             "leaves_per_ray": float(self.leaves.mean()),
             "triangles_per_ray": float(self.tests.mean()),
             "counted_cost": self.counted_cost(),
@@ -304,21 +320,36 @@ class Tracer:
         if repeats:
             self.run(records)  # the first launch may compile
         seconds = np.array([self.run(records)[1].kernel for _ in range(repeats)])
-        visits = Visits(*map(self.fetch, outputs))
+        visits = Visits(*(self.fetch(column) for column in outputs if column is not None))
         return Hits(
-            (visits.t / self.unit).astype(np.float32), visits.triangle.view(np.int32),
-            *visits[2:], visits.inner + visits.tests, seconds,
-            self.lanes, self.width, self.launch.issued(records, visits), self.style,
-        )  # fmt: skip
+            (visits.t / self.unit).astype(np.float32),
+            visits.triangle.view(np.int32),
+            visits.inner,
+            visits.leaves,
+            visits.tests,
+            visits.inner + visits.tests,
+            seconds,
+            self.lanes,
+            self.width,
+            self.launch.issued(records, visits),
+            self.style,
+            2 * visits.inner if visits.boxes is None else visits.boxes,
+        )
 
 
 @functools.lru_cache(maxsize=2)
-def _cached_records(tree: Tree, triangles: Any, layout: Layout, variant: str) -> Records:
+def _cached_records(tree: Tree | WideTree, triangles: Any, layout: Layout, variant: str) -> Records:
     return make_records(tree, triangles, layout)
 
 
+@functools.lru_cache(maxsize=2)
+def _in_order(tree: Tree | WideTree, triangles: Any, child_order: ChildOrder) -> WideTree:
+    wide = as_wide(tree, triangles)
+    return wide.ordered(child_priority(wide, triangles, child_order))
+
+
 def trace(
-    tree: Tree,
+    tree: Tree | WideTree,
     triangles: Any,
     rays: RaySet,
     lanes: Lanes = "simd",
@@ -326,13 +357,15 @@ def trace(
     style: Style = "single",
     cull: bool = False,
     any_hit: bool | None = None,
+    child_order: ChildOrder | None = None,
     repeats: int = 5,
 ) -> Hits:
     """Trace a ray set through a tree: hits, exact counters and kernel times.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
+        A wide tree is traced in the wide style.
     triangles : Triangles, Scene or (N, 3, 3) array
         What the tree was built for.
     rays : RaySet
@@ -341,13 +374,17 @@ def trace(
     style : "single", "while-while", "speculative" or "wide"
         The binary tree in one loop, as the study uses it; in rounds of descending and testing
         leaves, without and with a leaf put aside (the speculative kernel of Aila and Laine 2009);
-        or the fastest kernel, on the tree collapsed to eight children per node.
+        or the wide kernel, to which a binary tree is collapsed to eight children per node: the
+        fastest.
     cull : bool
         Re-test popped nodes against the current hit. The paper's kernel does not, the wide
         style cannot.
     any_hit : bool, optional
         End each ray at the first hit found instead of the closest; by default as the rays are
         (:attr:`mibvh.RaySet.occlusion`).
+    child_order : "larger", "blocking" or "worth", optional
+        Of any-hit rays in the wide style: visit a node's children in this order
+        (:func:`mibvh.traversal.child_order.child_priority`) instead of near first.
     repeats : int
         Timed launches, after one that is not counted.
 
@@ -364,6 +401,11 @@ def trace(
     check(repeats=repeats)
     rays.check_matches(triangles)
     any_hit = rays.occlusion if any_hit is None else any_hit
+    if child_order is not None:
+        if not any_hit or style != "wide":
+            raise MibvhError("a child order is for any-hit rays in the wide style")
+        tree.check_matches(triangles)
+        tree = _in_order(tree, triangles, child_order)
     scale = float(unit_scale(triangles))
     tracer = Tracer(rays, scale, lanes, style=style, cull=cull, any_hit=any_hit)
     records = _cached_records(tree, triangles, tracer.layout, mitsuba().variant())

@@ -17,6 +17,8 @@ class Visits(NamedTuple):
     inner, leaves, tests : UInt32, (R,) uint32
         Inner nodes visited (all child boxes tested), leaves visited, triangles tested; zero
         unless counted.
+    boxes : UInt32, (R,) uint32, optional
+        Child boxes tested; None where they are two per inner node.
     """
 
     t: Any
@@ -24,3 +26,4 @@ class Visits(NamedTuple):
     inner: Any
     leaves: Any
     tests: Any
+    boxes: Any = None

@@ -255,28 +255,42 @@ def simulate(
     tree.check_matches(geometry)
     rays.check_matches(geometry)
     rules = _rules(style, vote)
-    for name, value in (("fetch_below", fetch_below), ("rays_per_lane", rays_per_lane),
-                        ("warps", warps)):  # fmt: skip
+    for name, value in (
+        ("fetch_below", fetch_below),
+        ("rays_per_lane", rays_per_lane),
+        ("warps", warps),
+    ):
         if value < 1:
             raise MibvhError(f"{name} must be at least 1, not {value}")
     check_rules(width, style)
     if len(rays) == 0:
         raise MibvhError("there are no rays to trace")
     plan = lockstep.Plan(
-        width, not rules.rounds, rules.postpone, rules.vote, rules.leaves,
+        width,
+        not rules.rounds,
+        rules.postpone,
+        rules.vote,
+        rules.leaves,
         min(-(-fetch_below * width // 32), width) if rules.fetch else 0,
         rays.occlusion if any_hit is None else any_hit,
-    )  # fmt: skip
+    )
     sharing, per_lane = (warps, rays_per_lane) if rules.fetch else (1, 1)
     dealt = ray_order(rays, geometry.bounds, order, seed)
     visits, issued, unit = _run(
         plan, tree, geometry, rays, dealt, sharing, sharing * per_lane * width, threads
     )
     return Warps(
-        width, style, order, rules.vote, plan.threshold,
-        (visits.t / unit).astype(np.float32), *visits[1:], issued[:, :2].copy(),
-        issued[:, 2].copy(), dealt,
-    )  # fmt: skip
+        width,
+        style,
+        order,
+        rules.vote,
+        plan.threshold,
+        (visits.t / unit).astype(np.float32),
+        *visits[1:5],
+        issued[:, :2].copy(),
+        issued[:, 2].copy(),
+        dealt,
+    )
 
 
 def check_rules(width: int, style: str) -> None:
@@ -333,9 +347,16 @@ def ray_rounds(tree: Tree, triangles: object, rays: RaySet, threads: int | None 
 
     def block(worker: int, begin: int, end: int) -> None:
         lockstep.count_rounds(
-            lanes[worker], begin, end, work, scene, visits,
-            per_ray, descents[worker], lengths[worker],
-        )  # fmt: skip
+            lanes[worker],
+            begin,
+            end,
+            work,
+            scene,
+            visits,
+            per_ray,
+            descents[worker],
+            lengths[worker],
+        )
 
     run_blocks(block, len(rays), 4096, workers)
     return Rounds(

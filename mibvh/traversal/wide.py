@@ -1,14 +1,18 @@
-"""The fastest kernel: nodes of eight children, and lanes that fetch their next ray.
+"""The wide kernel: nodes of up to eight children, and lanes that fetch their next ray.
 
 A lane's work is a group, the children of one node, and which of them are still to be visited: a
-list of four bits per child, nearest first. A step takes the first of the list, an inner node or
-a triangle; of an inner node the rest of the list is pushed, and its children that are hit,
-sorted, become the group. Every lane goes through rays of its own, a packet's side by side; after
-every few steps the lanes that are done fetch their next one.
+list of four bits per child, first to visit first. A step takes the first of the list, an inner node
+or a triangle; of an inner node the rest of the list is pushed, and its children that are hit,
+sorted, become the group. The next triangle of a leaf is a group of its own. Every lane goes through
+rays of its own, a packet's side by side; after every few steps the lanes that are done fetch their
+next one.
 
-Distances to the grid's planes are one multiply-add. Their rounding is below ``2**-13`` of a grid
-step plus ``5 * 2**-24`` of the distance; the former is within what the collapse widens boxes by,
-the latter within :data:`_OUTWARD`.
+Closest-hit rays visit the nearest child first. Any-hit rays do too, or go by the tree's order,
+where it has one.
+
+Distances to the planes of 8-bit boxes are one multiply-add. Their rounding is below ``2**-13`` of a
+grid step plus ``5 * 2**-24`` of the distance; the former is within :data:`_SLACK`, the latter
+within :data:`_OUTWARD`. Float32 boxes are tested as the binary kernel tests them.
 """
 
 from __future__ import annotations
@@ -17,9 +21,9 @@ from typing import Any
 
 import drjit as dr
 
-from mibvh.traversal.collapse import BASE_BITS, LARGEST, WIDTH
-from mibvh.traversal.geometry import inverse, larger, smaller, triangle_hit
+from mibvh.traversal.geometry import inverse, larger, slabs_of, smaller, triangle_hit
 from mibvh.traversal.records import ROW, Records
+from mibvh.traversal.wide_rows import BASE_BITS, ENTRY, LARGEST, NETWORKS, SPAN
 from mibvh.tree import MAX_DEPTH
 from mibvh.variant import mitsuba
 
@@ -28,11 +32,8 @@ RAY_ROW = 8
 _OUTWARD = 1.0 + 2.0**-20
 #: Boxes begin no nearer than this; a normal number even with four bits of it replaced.
 _NEAREST = 2.0**-100
-#: Batcher's sorting network for eight.
-_NETWORK = (
-    (0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (1, 2), (5, 6),
-    (0, 4), (1, 5), (2, 6), (3, 7), (2, 4), (3, 5), (1, 2), (3, 4), (5, 6),
-)  # fmt: skip
+#: 8-bit boxes are widened by this share of the grid's length, 1/256 of a step.
+_SLACK = 2.0**-16
 
 
 @dr.syntax
@@ -66,12 +67,14 @@ def walk_wide(
     t_out, triangle_out : Float, UInt32
         Written at each ray's place: distance of the closest hit, infinite for a miss, and the
         triangle's id, 2**32 - 1 for a miss.
-    counts_out : tuple of two UInt32
-        Inner nodes visited and triangles tested, written if counted.
+    counts_out : tuple of four UInt32
+        Inner nodes visited, child boxes tested, leaves visited and triangles tested, written if
+        counted.
     count, any_hit : bool
     """
     mi = mitsuba()
     n = dr.width(first)
+    span = 1 if records.wide.quantised else SPAN[records.wide.width]
     # Groups left for later, and which of their children are still to be visited.
     stack_group = dr.alloc_local(mi.UInt32, MAX_DEPTH)
     stack_todo = dr.alloc_local(mi.UInt32, MAX_DEPTH)
@@ -85,8 +88,9 @@ def walk_wide(
     triangle = dr.full(mi.UInt32, 0, n)  # the current hit
     # The children at hand, and which of them are still to be visited.
     group, todo = dr.full(mi.UInt32, 0, n), dr.full(mi.UInt32, 0, n)
-    # Inner nodes visited, triangles tested.
-    inner, tests = dr.full(mi.UInt32, 0, n), dr.full(mi.UInt32, 0, n)
+    # Inner nodes visited, child boxes tested, leaves visited, triangles tested.
+    inner, boxes = dr.full(mi.UInt32, 0, n), dr.full(mi.UInt32, 0, n)
+    leaves, tests = dr.full(mi.UInt32, 0, n), dr.full(mi.UInt32, 0, n)
 
     while busy:
         if todo == 0:
@@ -96,7 +100,9 @@ def walk_wide(
                 dr.scatter(triangle_out, triangle, ray)
                 if dr.hint(count, mode="scalar"):
                     dr.scatter(counts_out[0], inner, ray)
-                    dr.scatter(counts_out[1], tests, ray)
+                    dr.scatter(counts_out[1], boxes, ray)
+                    dr.scatter(counts_out[2], leaves, ray)
+                    dr.scatter(counts_out[3], tests, ray)
                 ray += stride
             begun = mi.Bool(True)
             busy = ray < end
@@ -109,24 +115,28 @@ def walk_wide(
                 triangle = mi.UInt32(0xFFFFFFFF)
                 group = mi.UInt32(records.root << BASE_BITS)
                 # A ray that can hit nothing has a negative tmax, and takes no steps.
-                todo = dr.select(t >= 0, mi.UInt32(WIDTH), mi.UInt32(0))
-                inner, tests = mi.UInt32(0), mi.UInt32(0)
+                todo = dr.select(t >= 0, mi.UInt32(ENTRY), mi.UInt32(0))
+                inner, boxes = mi.UInt32(0), mi.UInt32(0)
+                leaves, tests = mi.UInt32(0), mi.UInt32(0)
         steps = mi.UInt32(0)
         while (todo != 0) & (steps < burst):
             steps += 1
-            child = todo & (WIDTH - 1)
+            child = todo & (ENTRY - 1)
             rest = todo >> 4
+            inners = group >> BASE_BITS
             at = (group & ((1 << BASE_BITS) - 1)) + child
+            if dr.hint(span > 1, mode="scalar"):
+                at += (span - 1) * smaller(child, inners)
             row = dr.gather(mi.ArrayXf, records.rows, at, shape=(ROW, n))
-            if child < (group >> BASE_BITS):
+            if child < inners:
                 if rest != 0:
                     stack_group[top] = group
                     stack_todo[top] = rest
                     top += 1
-                group = dr.reinterpret_array(mi.UInt32, row[3])
-                todo = _children_hit(row, o, inv, t)
+                group, todo, tested = _visit(records, at, row, o, inv, t, any_hit, count)
                 if dr.hint(count, mode="scalar"):
                     inner += 1
+                    boxes += tested
             else:
                 hit, distance = triangle_hit(row, o, d, t)
                 t = dr.select(hit, distance, t)
@@ -134,6 +144,17 @@ def walk_wide(
                 todo = mi.UInt32(rest)
                 if dr.hint(count, mode="scalar"):
                     tests += 1
+                    following = dr.reinterpret_array(mi.UInt32, row[13])
+                    leaves += dr.select((following == 0) | (hit & any_hit), 1, 0)
+                if dr.hint(not records.single, mode="scalar"):
+                    more = dr.reinterpret_array(mi.UInt32, row[13])
+                    if more != 0:
+                        if rest != 0:
+                            stack_group[top] = group
+                            stack_todo[top] = rest
+                            top += 1
+                        group = mi.UInt32(more)
+                        todo = mi.UInt32(ENTRY)
                 if dr.hint(any_hit, mode="scalar"):
                     top = dr.select(hit, 0, top)
                     todo = dr.select(hit, 0, todo)
@@ -143,43 +164,135 @@ def walk_wide(
                 todo = stack_todo[top]
 
 
-def _children_hit(row: Any, o: Any, inv: Any, t: Any) -> Any:
-    """List of the children that a ray hits before ``t``, nearest first, four bits each."""
+def _visit(
+    records: Records, at: Any, row: Any, o: Any, inv: Any, t: Any, any_hit: bool, count: bool
+) -> tuple[Any, Any, Any]:
+    """Test the boxes of a node's children.
+
+    Returns
+    -------
+    group : UInt32
+        The node's word.
+    todo : UInt32
+        List of the children that are hit, in the order to visit them.
+    tested : UInt32
+        How many boxes there are; 0 unless counted.
+    """
     mi = mitsuba()
-    words = [dr.reinterpret_array(mi.UInt32, row[i]) for i in range(ROW)]
+    stored = any_hit and records.order is not None
+    if records.wide.quantised:
+        words = [dr.reinterpret_array(mi.UInt32, row[i]) for i in range(ROW)]
+        hits = _small_boxes(row, words, o, inv, t, records.wide.width)
+        if stored:
+            todo = _in_order(hits, dr.gather(mi.UInt32, records.order, at))
+        else:
+            todo = _nearest_first(hits)
+        return words[3], todo, _present(words, records.wide.width) if count else mi.UInt32(0)
+    width = records.wide.width
+    values = list(row)
+    for i in range(1, SPAN[width]):
+        values += list(dr.gather(mi.ArrayXf, records.rows, at + i, shape=(ROW, dr.width(at))))
+    word, order = (dr.reinterpret_array(mi.UInt32, values[6 * width + i]) for i in range(2))
+    entries = [(order >> (4 * i)) & 0xF for i in range(width)]
+    near = _plain_boxes(values, o, inv, t, width)
+    todo = mi.UInt32(0)
+    if not stored:
+        for a, b in NETWORKS[width]:
+            swap = near[b] < near[a]
+            near[a], near[b] = smaller(near[a], near[b]), larger(near[a], near[b])
+            entries[a], entries[b] = (
+                dr.select(swap, entries[b], entries[a]),
+                dr.select(swap, entries[a], entries[b]),
+            )
+    tested = mi.UInt32(0)
+    for distance, entry in zip(reversed(near), reversed(entries), strict=True):
+        todo = dr.select(distance < dr.inf, (todo << 4) | entry, todo)
+        if count:
+            tested += entry >> 3
+    return word, todo, tested
+
+
+def _plain_boxes(values: Any, o: Any, inv: Any, t: Any, width: int) -> list[Any]:
+    """Where a ray enters each float32 box before ``t``; infinity for those it misses."""
+    found = []
+    for i in range(width):
+        corners = [values[width * k + i] for k in range(6)]
+        near, far = slabs_of(corners[:3], corners[3:], o, inv)
+        found.append(dr.select(near <= smaller(far, t), near, dr.inf))
+    return found
+
+
+def _small_boxes(row: Any, words: Any, o: Any, inv: Any, t: Any, width: int) -> list[Any]:
+    """Where a ray enters each 8-bit box before ``t``, infinity for those it misses.
+
+    The child's list entry replaces the lowest bits; those of infinity are no entry.
+    """
+    mi = mitsuba()
     axes = []
     for k in range(3):
         # -- the axis's grid along the ray, and the words of the planes met first and last
         length = dr.reinterpret_array(mi.Float, ((127 + LARGEST) << 23) - ((words[k] & 63) << 23))
-        begin = (row[k] - o[k] - length) * inv[k]
+        origin = dr.reinterpret_array(mi.Float, words[k] & 0xFFFFFFC0)
+        scale = length * inv[k]
+        begin = (origin - o[k] - length) * inv[k]
+        slack = dr.abs(scale) * _SLACK
         backwards = inv[k] < 0
         lower, upper = words[4 + 2 * k : 6 + 2 * k], words[10 + 2 * k : 12 + 2 * k]
         near = [dr.select(backwards, upper[i], lower[i]) for i in range(2)]
         far = [dr.select(backwards, lower[i], upper[i]) for i in range(2)]
-        axes.append((length * inv[k], begin, near, far))
+        axes.append((scale, begin - slack, begin + slack, near, far))
     keys = []
-    for child in range(WIDTH):
+    for child in range(width):
         near_x, near_y, near_z = (
             dr.fma(_unpack(near[child // 4], child % 4), scale, begin)
-            for scale, begin, near, _ in axes
+            for scale, begin, _, near, _ in axes
         )
         far_x, far_y, far_z = (
             dr.fma(_unpack(far[child // 4], child % 4), scale, begin)
-            for scale, begin, _, far in axes
+            for scale, _, begin, _, far in axes
         )
         enters = larger(larger(near_x, near_y), larger(near_z, _NEAREST))
         leaves = smaller(smaller(far_x, far_y), far_z) * _OUTWARD
-        # Sorted by distance, the child's list entry in the lowest bits.
-        key = (dr.reinterpret_array(mi.UInt32, enters) & 0xFFFFFFF0) | (WIDTH | child)
+        key = (dr.reinterpret_array(mi.UInt32, enters) & 0xFFFFFFF0) | (ENTRY | child)
         keys.append(
             dr.select(enters <= smaller(leaves, t), dr.reinterpret_array(mi.Float, key), dr.inf)
         )
-    for a, b in _NETWORK:
+    return keys
+
+
+def _nearest_first(keys: list[Any]) -> Any:
+    """List of the children that are hit, by distance."""
+    mi = mitsuba()
+    for a, b in NETWORKS[len(keys)]:
         keys[a], keys[b] = smaller(keys[a], keys[b]), larger(keys[a], keys[b])
     todo = mi.UInt32(0)
     for key in reversed(keys):  # infinity ends in four zeros: no entry
         todo = (todo << 4) | (dr.reinterpret_array(mi.UInt32, key) & 0xF)
     return todo
+
+
+def _in_order(keys: list[Any], order: Any) -> Any:
+    """List of the children that are hit, in the tree's order."""
+    mi = mitsuba()
+    hit = mi.UInt32(0)
+    for i, key in enumerate(keys):
+        hit |= dr.select(key < dr.inf, mi.UInt32(1 << i), mi.UInt32(0))
+    todo = mi.UInt32(0)
+    for i in reversed(range(len(keys))):
+        entry = (order >> (4 * i)) & 0xF
+        listed = (entry >> 3) & (hit >> (entry & (ENTRY - 1))) & 1
+        todo = dr.select(listed != 0, (todo << 4) | entry, todo)
+    return todo
+
+
+def _present(words: Any, width: int) -> Any:
+    """How many of a node's 8-bit boxes are none of those that stand for no child."""
+    mi = mitsuba()
+    there = mi.UInt32(0)
+    for i in range(width):
+        lower, upper = ((words[at + i // 4] >> (8 * (i % 4))) & 0xFF for at in (4, 10))
+        there += dr.select(lower <= upper, mi.UInt32(1), mi.UInt32(0))
+    return there
 
 
 def _unpack(word: Any, byte: int) -> Any:

@@ -27,9 +27,13 @@ PARTS = {
     "files": "tools.fuzz.files:Bench",
     "imports": "tools.fuzz.layouts:Imports",
     "meshes": "tools.fuzz.meshes:Meshes",
+    "soups": "tools.fuzz.soups:Soups",
+    "pieces": "tools.fuzz.pieces:Pieces",
+    "kills": "tools.fuzz.kills:Kills",
 }
-#: A case that is not done after so many seconds hangs; the first one compiles.
-PATIENCE, FIRST_PATIENCE = 30.0, 600.0
+#: A case that is not done after so many seconds hangs; the first one compiles. Cases of these
+#: parts are whole studies.
+PATIENCE, FIRST_PATIENCE, STUDIES = 30.0, 600.0, {"pieces": 300.0, "kills": 600.0}
 #: Faults of one part after which it ends.
 MOST_FAULTS = 20
 
@@ -55,9 +59,12 @@ class Child:
     def __init__(self, part: str, first: int) -> None:
         self.process = subprocess.Popen(
             [sys.executable, "-m", "tools.fuzz", "--work", part, str(first)],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace",
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
             cwd=Path(__file__).parents[2],
-        )  # fmt: skip
+        )
         self.lines: queue.Queue[str | None] = queue.Queue()
         threading.Thread(target=self._read, daemon=True).start()
         self.errors: collections.deque[str] = collections.deque(maxlen=5)
@@ -94,7 +101,7 @@ def fuzz(part: str, first: int, seconds: float, cases: int) -> tuple[dict[str, i
         except queue.Empty:
             faults.append(f"{part} seed {seed}: takes longer than {patience:g} s")
         else:
-            patience = PATIENCE
+            patience = STUDIES.get(part, PATIENCE)
             if line is not None:
                 _, number, outcome = line.rstrip("\n").split(" ", 2)
                 seed = int(number) + 1

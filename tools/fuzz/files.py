@@ -134,10 +134,14 @@ def random_rays(triangles: Any, count: int) -> Any:
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     ids = np.zeros(count, np.int32)
     return mibvh.RaySet(
-        o.astype(np.float32), d.astype(np.float32), np.full(count, np.inf, np.float32),
-        ids, ids + 1, rng.integers(-1, len(triangles), count).astype(np.int32),
+        o.astype(np.float32),
+        d.astype(np.float32),
+        np.full(count, np.inf, np.float32),
+        ids,
+        ids + 1,
+        rng.integers(-1, len(triangles), count).astype(np.int32),
         {"digest": triangles.digest, "scene": triangles.name},
-    )  # fmt: skip
+    )
 
 
 def flat_tree(triangles: Any) -> Any:
@@ -145,6 +149,11 @@ def flat_tree(triangles: Any) -> Any:
     lower, upper = triangles.bounds
     ids = np.arange(len(triangles), dtype=np.int32)
     return mibvh.Tree(
-        lower[None], upper[None], np.full(1, -1, np.int32), np.zeros(1, np.int32),
-        np.full(1, len(ids), np.int32), ids, {"triangles": len(ids)},
-    )  # fmt: skip
+        lower[None],
+        upper[None],
+        np.full(1, -1, np.int32),
+        np.zeros(1, np.int32),
+        np.full(1, len(ids), np.int32),
+        ids,
+        {"triangles": len(ids)},
+    )

@@ -183,10 +183,11 @@ def _glb(corners: np.ndarray, rng: random.Random) -> bytes:
     bounds = {"min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist()}
     position = {"bufferView": 0, "componentType": 5126, "count": len(points), "type": "VEC3"}
     document: dict[str, object] = {
-        "asset": {"version": "2.0"}, "nodes": [{"children": [1]}, {"mesh": 0}],
+        "asset": {"version": "2.0"},
+        "nodes": [{"children": [1]}, {"mesh": 0}],
         "bufferViews": [{"buffer": 0, "byteLength": len(data)}],
         "accessors": [{**position, **bounds}],
-    }  # fmt: skip
+    }
     primitive: dict[str, object] = {"attributes": {"POSITION": 0}}
     if rng.random() < 0.7:
         indices = np.arange(len(points), dtype="<u2").tobytes()
@@ -232,8 +233,13 @@ def _placing(triangle: np.ndarray) -> str:
 
 
 _FORMATS: dict[str, Callable[[np.ndarray, random.Random], bytes]] = {
-    "obj": _obj, "off": _off, "stl": _stl, "ply": _ply, "glb": _glb, "xml": _xml,
-}  # fmt: skip
+    "obj": _obj,
+    "off": _off,
+    "stl": _stl,
+    "ply": _ply,
+    "glb": _glb,
+    "xml": _xml,
+}
 #: Formats whose files say how much there is in them.
 _DECLARING = {"off", "stl", "ply", "glb"}
 

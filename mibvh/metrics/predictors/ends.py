@@ -1,4 +1,4 @@
-"""Predictors that know where the rays are: their ends, their lines, their lengths."""
+"""Predictors that use the rays: their ends, their lines, their lengths."""
 
 from __future__ import annotations
 

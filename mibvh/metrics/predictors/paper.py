@@ -43,13 +43,13 @@ def _r_by_alpha(sample: Sample) -> F64:
 
 
 def best_choice(choices: F64, r: F64) -> float:
-    """Choice of the greatest mean of r over the scenes.
+    """The choice with the largest mean r over the scenes.
 
     Parameters
     ----------
     choices : (C,) float64
     r : (S, C) float64
-        By scene and choice; scenes with no r at all are left out.
+        One row per scene. Scenes without any r are left out.
 
     Returns
     -------

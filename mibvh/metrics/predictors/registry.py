@@ -17,9 +17,9 @@ import numpy.typing as npt
 from mibvh.errors import MibvhError
 
 F64 = npt.NDArray[np.float64]
-#: What was fitted: a number by name, such as ``{"alpha": 0.71}``.
+#: Fitted weights by name, such as ``{"alpha": 0.71}``.
 Weights = Mapping[str, float]
-#: What is known of a scene's trees: by the name of a quantity, (K,) float64.
+#: Quantities of a scene's trees by name, (K,) float64 each.
 Values = Mapping[str, F64]
 
 _NONE = float("nan")
@@ -27,16 +27,16 @@ _NONE = float("nan")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sample:
-    """A scene's trees: what is known of them, and what was measured.
+    """A scene's trees: their quantities, and a measurement.
 
-    Samples are compared by identity, so that what is fitted to one can be cached.
+    Samples are compared by identity, so that fits can be cached.
 
     Attributes
     ----------
     values : mapping of str to (K,) float64
         Quantities by name.
     measured : (K,) float64
-        What is to be predicted, up to a line.
+        What is predicted, up to a linear function.
     """
 
     values: Values
@@ -55,7 +55,7 @@ class Predictor:
     Attributes
     ----------
     name : str
-        As in tables.
+        Its name in tables.
     formula : str
         What it is, for the glossary.
     free : str
@@ -63,15 +63,15 @@ class Predictor:
     needs : tuple of str
         Quantities that ``predict`` takes.
     fit : callable
-        ``fit(samples, this)`` returns the weights for the scene ``samples[this]``; the other
-        scenes are there for weights that scenes share.
+        ``fit(samples, this)`` returns the weights for the scene ``samples[this]``. The other
+        scenes are given for weights that scenes share.
     predict : callable
         ``predict(values, weights)`` returns (K,) float64.
     linear : tuple of str
-        Quantities of which it is a linear combination with free weights: its trees can be
+        Quantities of which it is a linear combination with free weights. Each tree can then be
         predicted from a fit to the others.
     headline : str
-        Its title among those a reader asks for first; empty for the others.
+        Its title among the main predictors; empty for the others.
     rotated : str
         Its heading in the tables of the rotation experiment, with weights fitted to counted cost
         and averaged over the scenes; empty where it is left out.
@@ -101,7 +101,7 @@ class Predictor:
         return weights, self.predict(samples[this].values, weights)
 
     def knows(self, values: Values) -> bool:
-        """Whether all quantities that it needs are there."""
+        """Whether all quantities that it needs are given."""
         return all(name in values for name in self.needs)
 
 
@@ -116,7 +116,7 @@ _added: dict[str, Predictor] = {}
 
 
 def add_predictor(predictor: Predictor) -> Predictor:
-    """Register a predictor: every study judges and shows it from here on."""
+    """Register a predictor. All later studies evaluate and show it."""
     _added[predictor.name] = predictor
     return predictor
 

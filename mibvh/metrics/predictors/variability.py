@@ -30,14 +30,14 @@ def _fit_all(samples: Sequence[Sample], this: int) -> Weights:
 
 
 def _combine(values: Values, weights: Weights) -> F64:
-    """Weighted sum of what the trees differ by, at the level of the trees that were fitted to."""
+    """Weighted sum of the trees' deviations from their mean, plus the mean measurement."""
     x = _columns(values)
     of = np.array([weights[name] for name in _NEEDS])
     return (x - x.mean(axis=0)) @ of + weights["level"]
 
 
 def _with_beta(sample: Sample, beta: float) -> Weights:
-    """Alpha that fits best beside a given weight of LCV."""
+    """The best alpha for a given weight of LCV."""
     sah, epo, lcv = (sample.values[name] for name in _NEEDS)
     return {"alpha": fit_alpha(sah, epo, sample.measured, beta * lcv), "beta": beta}
 
@@ -49,9 +49,9 @@ def _mix(values: Values, weights: Weights) -> F64:
 
 @functools.lru_cache(maxsize=1024)
 def _r_by_beta(sample: Sample) -> F64:
-    return np.array([
-        pearson(_mix(sample.values, _with_beta(sample, b)), sample.measured) for b in _BETAS
-    ])  # fmt: skip
+    return np.array(
+        [pearson(_mix(sample.values, _with_beta(sample, b)), sample.measured) for b in _BETAS]
+    )
 
 
 def _shared(samples: Sequence[Sample], this: int) -> Weights:

@@ -45,7 +45,10 @@ BASE = "prediction"
 
 @dataclasses.dataclass(frozen=True)
 class _Picture:
+    """A picture, base64-encoded, empty if there is none; what is to be said of it."""
+
     png: str
+    note: str
 
 
 def study_scene(
@@ -103,13 +106,13 @@ def _predict(
         rows.append(row)
     setting = Setting(scene, rays, trees, options, machine, store)
     rows, timing = _time(setting, rows, report)
-    picture = functools.partial(_picture, scene)
     picture_key = key_of("mibvh.picture", scene=scene_digest(scene), cameras=cameras(scene))
+    picture = kept(store, f"picture-{picture_key}", _Picture, functools.partial(_picture, scene))
     return setting, SceneRecord(
         scene=scene.name,
         triangles=len(scene.triangles),
         digest=digest,
-        notes=list(scene.notes),
+        notes=[*scene.notes, *([picture.note] if picture.note else [])],
         rays=RayFacts(
             count=len(rays),
             digest=rays.digest,
@@ -121,7 +124,7 @@ def _predict(
         trees=rows,
         options=options,
         environment=machine,
-        picture=kept(store, f"picture-{picture_key}", _Picture, picture).png,
+        picture=picture.png,
         seconds={},
         reused={},
         code=code_digest(__name__),
@@ -171,6 +174,16 @@ def _shares(asked: Sequence[Experiment]) -> dict[str, tuple[float, float]]:
 
 
 def _picture(scene: Scene) -> _Picture:
+    """Render a scene, or light it from the camera, or do without: no study ends for a picture."""
     from mibvh.picture import picture, png
 
-    return _Picture(base64.b64encode(png(picture(scene))).decode())
+    said = ""
+    for samples, instead in ((32, "is lit from the camera"), (0, "is missing")):
+        try:
+            pixels = picture(scene, samples=samples)
+        except Exception as error:  # of Mitsuba, whose plugins raise nearly anything
+            reason = " ".join((str(error) or type(error).__name__).split())[:200]
+            said = f"the picture {instead}: Mitsuba cannot render this scene ({reason})"
+        else:
+            return _Picture(base64.b64encode(png(pixels)).decode(), said)
+    return _Picture("", said)

@@ -52,9 +52,13 @@ class TreeSource:
             return None
         return key_of(digest=triangles.digest, builder=self.builder, of_builder=code)
 
-    def make(self, triangles: Triangles) -> Tree:
-        """Build the tree."""
-        return build(triangles, self.builder)
+    def make(self, triangles: Triangles, report: Reporter) -> Tree:
+        """Build the tree. Stages of a builder are not reported, but that it has to be compiled."""
+
+        def progress(stage: str, done: float) -> None:
+            report("compiling" if stage == "compiling" else "build", 0.0)
+
+        return build(triangles, self.builder, progress=progress)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +88,7 @@ def study_tree(
     triangles = counter.triangles
     key = source.key(triangles)
     report("cached tree" if store.has(Tree, key) else "build", 0.0)
-    tree = store.array(Tree, key, functools.partial(source.make, triangles))
+    tree = store.array(Tree, key, functools.partial(source.make, triangles, report))
     report("metrics", 0.5)
     judge = functools.partial(judge_tree, tree, triangles)
     # What is computed from the tree goes by its bytes; what its builder said of it is not kept.

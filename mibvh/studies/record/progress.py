@@ -13,8 +13,8 @@ class Progress:
     Attributes
     ----------
     scene, experiment, stage : str
-        The stage is ``rays``, ``build``, ``metrics``, ``count``, ``time scalar`` and so on;
-        ``done`` when the scene is finished.
+        The stage is ``rays``, ``compiling``, ``build``, ``metrics``, ``count``, ``time scalar``
+        and so on; ``done`` when the scene is finished.
     builder : str or None
         Whose tree is in hand; None for what concerns all trees.
     done : float

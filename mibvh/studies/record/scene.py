@@ -15,6 +15,7 @@ import numpy as np
 
 from mibvh.audit.record import Check
 from mibvh.errors import MibvhError
+from mibvh.files import plain
 from mibvh.metrics.predictors import Sample
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.serialise import from_json, to_json
@@ -74,6 +75,9 @@ class TreeRow:
     def failures(self) -> list[Check]:
         """The checks that did not pass."""
         return [check for check in self.audit if not check.passed]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "builder", plain(self.builder))
 
     def __getitem__(self, name: str) -> float:
         return self.values[name]
@@ -169,7 +173,7 @@ class SceneRecord:
     environment : dict
         What it was measured on; see :func:`mibvh.environment.environment`.
     picture : str
-        PNG, base64-encoded.
+        PNG, base64-encoded; empty where there is none.
     seconds : dict of str to float
         What each stage took, in the runs that its pieces were made in.
     reused : dict of str to int
@@ -194,6 +198,9 @@ class SceneRecord:
     reused: dict[str, int]
     code: str
     results: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scene", plain(self.scene))  # a file may be called anything
 
     def __getitem__(self, name: str) -> Any:
         """Return a field or an experiment's result by name, as when records were dicts."""
@@ -238,8 +245,8 @@ class SceneRecord:
         MibvhError
             If it is of another version of mibvh.
         """
-        read = dict(data)
-        found = read.pop("results", {})
+        read = from_json(dict[str, Any], data)
+        found = from_json(dict[str, Any], read.pop("results", {}))
         if unknown := sorted(set(found) - set(Result.kinds)):
             raise MibvhError(f"there is no experiment {unknown[0]!r}, but a study holds one")
         plain = from_json(cls, {**read, "results": {}})

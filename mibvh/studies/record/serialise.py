@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from mibvh.errors import MibvhError
+from mibvh.files import plain
 
 T = TypeVar("T")
 
@@ -31,17 +32,21 @@ def from_json(kind: type[T], data: Any) -> T:
     Parameters
     ----------
     kind : type
-        A dataclass whose fields are numbers, text, other dataclasses, and lists, tuples and
-        dicts of these.
+        A dict, or a dataclass whose fields are numbers, text, other dataclasses, and lists,
+        tuples and dicts of these.
     data
         As read by :mod:`json`.
 
     Raises
     ------
     MibvhError
-        If a field is missing or there is one too many.
+        If a field is missing, there is one too many, or one is of another type or too large.
+        Whatever the data, nothing else.
     """
-    return typing.cast(T, _read(kind, data))
+    try:
+        return typing.cast(T, _read(kind, data))
+    except RecursionError:
+        raise MibvhError("this is no record of mibvh: it is nested too deeply") from None
 
 
 def _read(kind: Any, data: Any) -> Any:
@@ -50,13 +55,32 @@ def _read(kind: Any, data: Any) -> Any:
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if origin in (types.UnionType, typing.Union):
         return None if data is None else _read(next(i for i in inner if i is not type(None)), data)
-    if origin is tuple:
-        return tuple(_read(inner[0], of) for of in data)
-    if origin is list:
-        return [_read(inner[0], of) for of in data]
+    if origin in (tuple, list):
+        return origin(_read(inner[0], of) for of in _checked(list, data))
     if origin is dict:
-        return {key: _read(inner[1], of) for key, of in data.items()}
-    return data  # a number (integers stay integers), text, or what has no type of its own
+        return {plain(key): _read(inner[1], of) for key, of in _checked(dict, data).items()}
+    return _harmless(_checked(kind, data))
+
+
+def _checked(kind: Any, data: Any) -> Any:
+    """See that data are of a type; integers stay integers where any number will do."""
+    wanted = {float: int | float, Any: object}.get(kind, kind)
+    if not isinstance(data, wanted) or (kind in (int, float) and isinstance(data, bool)):
+        raise MibvhError(f"this is no record of mibvh: {str(data)[:40]!r} is no {wanted}")
+    return data
+
+
+def _harmless(data: Any) -> Any:
+    """What JSON can hold but no table or file of text can: made harmless, or refused."""
+    if isinstance(data, str):
+        return plain(data)
+    if isinstance(data, dict):
+        return {plain(key): _harmless(of) for key, of in data.items()}
+    if isinstance(data, list):
+        return [_harmless(of) for of in data]
+    if isinstance(data, int) and abs(data) >= 1 << 64:
+        raise MibvhError("this is no record of mibvh: it holds a number of more than 64 bits")
+    return data
 
 
 def _read_dataclass(kind: type, data: Any) -> Any:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from mibvh.files import atomic_path
 from mibvh.metrics.registry import Quantity
 
 #: Rows that a page shows unfolded.
@@ -21,8 +24,12 @@ _LATEX = str.maketrans({
     **{sign: "\\" + sign for sign in "&%$#_{}"},
     "α": r"$\alpha$", "β": r"$\beta$", "σ": r"$\sigma$", "−": "$-$", "±": r"$\pm$",
     "–": "--", "×": r"$\times$", "≥": r"$\geq$", "≤": r"$\leq$", "√": r"$\surd$", "²": "$^2$",
-    "°": r"$^\circ$", "∞": r"$\infty$",
+    "°": r"$^\circ$", "∞": r"$\infty$", "[": "{[}", "*": "{*}",  # behind a line's end, commands
 })  # fmt: skip
+#: What Markdown takes for a table's edge, HTML, code, a link or emphasis.
+_MARKDOWN = re.compile(r"[\\|<>`*\[\]]|(?<![^\W_])_|_(?![^\W_])|&(?=#?\w+;)")
+#: What a spreadsheet takes for the beginning of a formula, unless a number follows the sign.
+_FORMULA = re.compile(r"[=@\t\r]|[+-](?!\d[\d.,]*\s?[%°×]?$)")
 
 
 class Cell(NamedTuple):
@@ -162,9 +169,11 @@ class Sheet:
         """As a Markdown table under a heading."""
         heads = [column.head for column in self.columns]
         marks = ["---" if self.is_text(column) else "---:" for column in self.columns]
-        lines = [heads, marks, *([cell.text for cell in row] for row in self.rows())]
+        rows = ([_markdown(cell.text) for cell in row] for row in self.rows())
+        lines = [[_markdown(head) for head in heads], marks, *rows]
         table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-        return "\n\n".join(part for part in (f"### {self.title}", self.note, table) if part) + "\n"
+        parts = (f"### {_markdown(self.title)}", _markdown(self.note), table)
+        return "\n\n".join(part for part in parts if part) + "\n"
 
     def latex(self) -> str:
         """As a LaTeX table in the manner of the package ``booktabs``; the best values are bold."""
@@ -176,10 +185,11 @@ class Sheet:
             for row in self.rows()
         ]
         body = " \\\\\n".join(rows)
+        label = re.sub("[^A-Za-z0-9.:@+-]", "-", self.name)
         return (
             "% needs \\usepackage{booktabs}\n"
             "\\begin{table}\n\\centering\n"
-            f"\\caption{{{_latex(caption)}}}\n\\label{{tab:{self.name}}}\n"
+            f"\\caption{{{_latex(caption)}}}\n\\label{{tab:{label}}}\n"
             f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{head} \\\\\n\\midrule\n"
             f"{body} \\\\\n\\bottomrule\n"
             "\\end{tabular}\n\\end{table}\n"
@@ -228,4 +238,29 @@ def _cell(column: Column, row: dict[Any, Any], least: float | None) -> Cell:
 
 
 def _latex(text: str) -> str:
-    return text.translate(_LATEX)
+    return " ".join(text.split()).translate(_LATEX)
+
+
+def _markdown(text: str) -> str:
+    return _MARKDOWN.sub(lambda found: "\\" + found[0], " ".join(text.split()))
+
+
+def write_csv(frame: pd.DataFrame, path: str | os.PathLike[str]) -> None:
+    """Write a table as CSV; text that a spreadsheet would run as a formula gets a ``'`` first.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Names in it may be anybody's.
+    path : path
+    """
+    harmless = frame.rename(columns=_no_formula)
+    for place, dtype in enumerate(harmless.dtypes):
+        if not pd.api.types.is_numeric_dtype(dtype):
+            harmless.isetitem(place, harmless.iloc[:, place].map(_no_formula))
+    with atomic_path(path) as temporary:
+        harmless.to_csv(temporary, index=False)
+
+
+def _no_formula(value: Any) -> Any:
+    return f"'{value}" if isinstance(value, str) and _FORMULA.match(value) else value

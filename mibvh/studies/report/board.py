@@ -1,4 +1,4 @@
-"""The progress of a study: bars on a terminal, lines for machines, next to nothing elsewhere."""
+"""The progress of a study: bars on a terminal, lines for machines, few lines elsewhere."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import threading
 import time
 from typing import Any, NamedTuple
 
+from mibvh.heartbeat import Heartbeat
 from mibvh.studies.record.progress import Progress
 
 #: Seconds between two lines of the same stage.
@@ -35,20 +36,41 @@ class Board:
         self._started = time.monotonic()
         self._begun: dict[str, float] = {}
         self._done: dict[str, float] = {}
+        self._step: Progress | None = None
         self._last: Progress | None = None
         self._written = 0.0
         self._lock = threading.Lock()
         self._bars = None if lines or not sys.stderr.isatty() else _bars(scenes)
         self._tasks: dict[str, Any] = {}
+        self._heartbeat = Heartbeat(self._sign_of_life)
 
     def __enter__(self) -> Board:
         if self._bars:
             self._bars.start()
+        else:
+            self._heartbeat.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._bars:
             self._bars.stop()
+        else:
+            self._heartbeat.__exit__(None, None, None)
+
+    def _sign_of_life(self) -> None:
+        """Say where the study is, if it has been at one step for long."""
+        with self._lock:
+            step, now = self._step, time.monotonic()
+            if step is None or step.done == 1.0:
+                stage = "report" if self._finished == self._scenes else "load"
+                step, left = Progress("", "", stage, None, 0.0), _Left(None, None)
+            else:
+                left = self._time_left(step.scene, now)
+            if self._lines:
+                self._write(step, left, now)
+            else:
+                more = f", {_clock(left.scene)}" if left.scene else ""
+                sys.stderr.write(f"{step.scene or 'study'}: {step} ({step.done:.0%}{more})\n")
 
     def __call__(self, step: Progress) -> None:
         """Note that a step is reached."""
@@ -57,17 +79,21 @@ class Board:
             now = time.monotonic()
             if scene not in self._begun or (done == 0.0 and self._done[scene] > 0.0):
                 self._begun[scene] = now  # a scene whose worker died begins again
-            self._done[scene] = done
-            left = _Left(
-                scene=_left(now - self._begun[scene], done, 1.0),
-                all=_left(now - self._started, sum(self._done.values()), self._scenes),
-            )
+            self._done[scene], self._step = done, step
+            left = self._time_left(scene, now)
             if self._lines:
                 self._write(step, left, now)
             elif self._bars:
                 self._draw(step, left)
             elif done == 1.0:
                 sys.stderr.write(f"{scene}: done ({self._finished} of {self._scenes})\n")
+                self._heartbeat.beat()
+
+    def _time_left(self, scene: str, now: float) -> _Left:
+        return _Left(
+            scene=_left(now - self._begun[scene], self._done[scene], 1.0),
+            all=_left(now - self._started, sum(self._done.values()), self._scenes),
+        )
 
     @property
     def _finished(self) -> int:
@@ -90,6 +116,7 @@ class Board:
         }
         sys.stdout.write(json.dumps(line) + "\n")
         sys.stdout.flush()
+        self._heartbeat.beat()
 
     def _draw(self, step: Progress, left: _Left) -> None:
         bars = self._bars

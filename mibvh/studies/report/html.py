@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mibvh.files import atomic_path, write_text
+from mibvh.files import atomic_path, file_name, make_folder, write_text
 from mibvh.metrics.predictors import predictors
 from mibvh.studies.analyse.correlations import overview, worst_error
 from mibvh.studies.analyse.rotation import rotation_factors
@@ -77,7 +77,7 @@ def write_report(
     list of str
         The figures' files, relative to the folder.
     """
-    (folder / "figures").mkdir(exist_ok=True)
+    make_folder(folder / "figures")
     draw = _Draw(folder)
     factors = rotation_factors(records)
     page = _template().render(
@@ -112,7 +112,7 @@ class _Draw:
     def __call__(self, name: str, figure: Any) -> list[str]:
         """Write a figure. Returns the SVG of each of its panels, to stand in the page."""
         drawn = plots.svg(figure)
-        files = [f"figures/{name}.{kind}" for kind in ("svg", "png")]
+        files = [f"figures/{file_name(name)}.{kind}" for kind in ("svg", "png")]
         write_text(self._folder / files[0], drawn.replace("currentColor", "#222"))
         with atomic_path(self._folder / files[1]) as path:
             path.write_bytes(plots.png(figure))
@@ -193,7 +193,9 @@ def _r(value: float) -> str:
 
 
 def _thumbnail(png: str) -> str:
-    """A picture, base64-encoded, as a small JPEG."""
+    """A picture, base64-encoded, as a small JPEG; empty if there is none."""
+    if not png:
+        return ""
     from PIL import Image
 
     picture = Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from mibvh.metrics.predictor import pearson
 from mibvh.metrics.registry import Quantity
-from mibvh.plot.marks import STYLE, builder_colour, depth_curves, named_points
+from mibvh.plot.marks import STYLE, builder_colour, depth_curves, literal, named_points
 from mibvh.studies.analyse.correlations import predicted
 from mibvh.studies.analyse.rotation import headings
 from mibvh.studies.measure.depth import DepthResult
@@ -92,8 +92,14 @@ def _strip(record: SceneRecord) -> float:
 def _legend(figure: Figure, axis: Axes) -> None:
     """Name an axis's curves in the strip below the panels, clear of all curves."""
     curves, names = axis.get_legend_handles_labels()
-    figure.legend(curves, names, loc="lower center", fontsize=7.5, ncols=min(len(names), _NAMES),
+    columns = min(max(len(names), 1), _NAMES)
+    figure.legend(curves, names, loc="lower center", fontsize=7.5, ncols=columns,
                   columnspacing=1.3, handlelength=1.8, borderaxespad=0.2)  # fmt: skip
+
+
+def _tip(builder: str) -> str:
+    """Return the beginning of the id of what is of a builder; its tooltip follows."""
+    return f"{_TIP}{builder.replace('|', '¦')}|"
 
 
 def svg(figure: Figure) -> str:
@@ -178,7 +184,7 @@ def _scatter(axis: Axes, record: SceneRecord, values: F64, target: Quantity) -> 
         name = tree.builder
         noise = f" ±{tree[target.error]:.1%}" if target.error else ""
         gids.append(
-            f"{_TIP}{name}|{name}: {target.heading} {y:.4g}{noise}, predicted {x:.4g}, "
+            f"{_tip(name)}{name}: {target.heading} {y:.4g}{noise}, predicted {x:.4g}, "
             f"SAH {tree['sah']:.4g}, EPO {tree['epo']:.4g}, LCV {tree['lcv']:.3g}"
         )
     names = [tree.builder for tree in record.trees]
@@ -196,7 +202,7 @@ def by_depth(record: SceneRecord) -> Figure:
                 levels = tree.sah_by_depth if name == "sah" else tree.epo_by_depth
                 values = curves[tree.builder] = np.array(levels)
                 gids.append(
-                    f"{_TIP}{tree.builder}|{tree.builder}: {heading} {tree[name]:.4g} "
+                    f"{_tip(tree.builder)}{tree.builder}: {heading} {tree[name]:.4g} "
                     f"over {len(values)} levels, most at depth {values.argmax()}"
                 )
             depth_curves(axis, curves, gids)
@@ -222,7 +228,7 @@ def remaining(record: SceneRecord, found: DepthResult) -> Figure:
             left[name] = np.array(cuts.remaining_after_splits, dtype=np.float64)
             right[name] = np.array(cuts.spent_by_depth) + cuts.remaining_by_depth
             gids.append(
-                f"{_TIP}{name}|{name}: {left[name][0]:.4g} as one leaf, {left[name][3]:.4g} after "
+                f"{_tip(name)}{name}: {left[name][0]:.4g} as one leaf, {left[name][3]:.4g} after "
                 f"7 splits, SAH {tree['sah']:.4g} when all is split"
             )
         depth_curves(axes[0], left, gids)
@@ -258,7 +264,7 @@ def rotation(factors: pd.DataFrame) -> Figure:
                     )
                     axis.plot([row[name]], [row["counted_cost"]], "o", ms=4.5,
                               color=builder_colour(i), mec="none", alpha=0.85,
-                              gid=f"{_TIP}{builder}|{tip}")  # fmt: skip
+                              gid=f"{_tip(builder)}{tip}")  # fmt: skip
             title = titles[name]
             _name(axis, title, "predicted factor", "factor of counted cost")
     return figure
@@ -288,8 +294,9 @@ def summary(table: pd.DataFrame) -> Figure:
                 if len(of):
                     axis.hlines(of["pearson"].mean(), i - 0.32, i + 0.32, color=_INK, lw=1.3)
             axis.set_xticks(
-                range(len(names)), names, rotation=45, ha="right", rotation_mode="anchor"
-            )
+                range(len(names)), [literal(name) for name in names],
+                rotation=45, ha="right", rotation_mode="anchor",
+            )  # fmt: skip
             axis.grid(False, axis="x")
             _name(axis, target.heading, "", "Pearson r over the trees")
             if len(shown):

@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from mibvh.files import atomic_path, write_text
+from mibvh.files import atomic_path, file_name, make_folder, write_text
 from mibvh.metrics.registry import Quantity
 from mibvh.studies.measure.counts import LINES
 from mibvh.studies.measure.warps import simulated_rays
@@ -17,7 +17,7 @@ from mibvh.studies.record.experiment import TidyRow, experiments
 from mibvh.studies.record.quantities import quantities
 from mibvh.studies.record.scene import Records, SceneRecord
 from mibvh.studies.record.serialise import to_json
-from mibvh.studies.record.sheet import Sheet
+from mibvh.studies.record.sheet import Sheet, write_csv
 
 #: What a row of the tidy table is of, where its experiment says nothing else.
 _USUAL = {
@@ -125,8 +125,7 @@ def write_tables(folder: Path, records: Records, correlations: pd.DataFrame) -> 
     with atomic_path(folder / "results.parquet") as path:
         tidy_table(records).to_parquet(path, index=False)
     for name, table in (("results", wide_table(records)), ("correlations", correlations)):
-        with atomic_path(folder / f"{name}.csv") as path:
-            table.to_csv(path, index=False)
+        write_csv(table, folder / f"{name}.csv")
 
 
 def write_sheets(folder: Path, sheets: list[Sheet]) -> list[str]:
@@ -137,9 +136,9 @@ def write_sheets(folder: Path, sheets: list[Sheet]) -> list[str]:
     list of str
         The files, relative to the folder.
     """
-    (folder / "tables").mkdir(exist_ok=True)
-    for sheet in sheets:
-        with atomic_path(folder / "tables" / f"{sheet.name}.csv") as path:
-            sheet.values.to_csv(path, index=False)
-        write_text(folder / "tables" / f"{sheet.name}.tex", sheet.latex())
-    return [f"tables/{sheet.name}.{kind}" for sheet in sheets for kind in ("csv", "tex")]
+    make_folder(folder / "tables")
+    names = [f"tables/{file_name(sheet.name)}" for sheet in sheets]
+    for name, sheet in zip(names, sheets, strict=True):
+        write_csv(sheet.values, folder / f"{name}.csv")
+        write_text(folder / f"{name}.tex", sheet.latex())
+    return [f"{name}.{kind}" for name in names for kind in ("csv", "tex")]

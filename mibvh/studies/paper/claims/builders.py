@@ -59,7 +59,7 @@ def _of_sah(best: pd.DataFrame, scenes: int) -> Iterator[Claim]:
         claim="the sweep is among the worst in SAH",
         paper="among the worst",
         ours=f"{sweep['mean'] - 1:.0%} above the best tree found on average, "
-        f"{rank}. worst of {len(best)}"
+        f"place {rank} of {len(best)} counted from the worst"
         if sweep is not None
         else NONE,
         judged="among the worse third of the builders that do not split triangles",

@@ -1,0 +1,35 @@
+"""The arrays of a tree, as its checks and layouts see them, without the class that has them."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from mibvh.triangles import F32, I32
+
+#: Inner nodes on a path; the traversal stack holds as many entries.
+MAX_DEPTH = 64
+#: Deeper trees are refused altogether: exact EPO takes memory by the square of the depth.
+DEEPEST = 1024
+
+
+class Nodes(Protocol):
+    """What a :class:`mibvh.Tree` is made of; its docstring says what each array holds."""
+
+    @property
+    def lower(self) -> F32: ...  # noqa: D102
+    @property
+    def upper(self) -> F32: ...  # noqa: D102
+    @property
+    def left(self) -> I32: ...  # noqa: D102
+    @property
+    def first(self) -> I32: ...  # noqa: D102
+    @property
+    def count(self) -> I32: ...  # noqa: D102
+    @property
+    def references(self) -> I32: ...  # noqa: D102
+    @property
+    def meta(self) -> dict[str, Any]: ...  # noqa: D102
+    @property
+    def depth(self) -> int: ...  # noqa: D102
+
+    def __len__(self) -> int: ...
