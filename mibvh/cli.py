@@ -516,6 +516,10 @@ def study(
         int | None, typer.Option(help="paths per pixel; the profile's by default")
     ] = None,
     seed: Annotated[int, typer.Option(help="of the rays")] = 0,
+    warp_width: Annotated[int, typer.Option(help="lanes of the simulated warps")] = 32,
+    warp_style: Annotated[
+        str, typer.Option(help="their kernel: persistent (the paper's), speculative, single, ...")
+    ] = "persistent",
     define: Define = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="of a Dask cluster to study scenes on")
@@ -534,7 +538,8 @@ def study(
 
     if profile not in PROFILES:
         raise MibvhError(f"--profile is one of {', '.join(PROFILES)}, not {profile!r}")
-    choices = {**PROFILES[profile], "seed": seed}
+    warps = {"warp_width": warp_width, "warp_style": warp_style}
+    choices = {**PROFILES[profile], **warps, "seed": seed}
     choices |= {
         name: value
         for name, value in (("seconds", seconds), ("samples", samples))

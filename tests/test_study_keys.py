@@ -54,7 +54,15 @@ def test_a_users_builder_is_run_again_unless_it_declares_a_version(tmp_path, hal
 def test_everything_is_made_anew_by_other_code(tmp_path, monkeypatch):
     run(tmp_path, "bbvh", "lbvh")
     again = run(tmp_path, "bbvh", "lbvh")
-    pieces = {"rays": 1, "trees": 2, "metrics": 2, "counts": 2, "audit": 2, "stopwatch": 2}
+    pieces = {
+        "rays": 1,
+        "trees": 2,
+        "metrics": 2,
+        "counts": 2,
+        "warps": 2,
+        "audit": 2,
+        "stopwatch": 2,
+    }
     assert {name: again.scenes[0].reused[name] for name in pieces} == pieces
     monkeypatch.setattr(store_module, "code_digest", lambda *modules: "other code")
     other = run(tmp_path, "bbvh", "lbvh").scenes[0].reused

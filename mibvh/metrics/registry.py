@@ -21,8 +21,9 @@ from mibvh.metrics.sah import node_costs, sah_per_node
 from mibvh.tree import Tree
 from mibvh.triangles import F64, Triangles
 
-#: Populations of rays: none, all of the ray set, those whose lines are followed, those timed.
-Population = Literal["", "all", "lines", "scalar", "simd"]
+#: Populations of rays: none, all of the ray set, those whose lines are followed, those timed, those
+#: that warps are simulated with.
+Population = Literal["", "all", "lines", "scalar", "simd", "warp"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

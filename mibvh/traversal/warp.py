@@ -262,8 +262,7 @@ def simulate(
     ):
         if value < 1:
             raise MibvhError(f"{name} must be at least 1, not {value}")
-    if width not in WIDTHS:
-        raise MibvhError(f"the width must be one of {', '.join(map(str, WIDTHS))}, not {width}")
+    check_rules(width, style)
     if len(rays) == 0:
         raise MibvhError("there are no rays to trace")
     plan = lockstep.Plan(
@@ -292,6 +291,19 @@ def simulate(
         issued[:, 2].copy(),
         dealt,
     )
+
+
+def check_rules(width: int, style: str) -> None:
+    """Refuse a width or style that there are no warps of.
+
+    Raises
+    ------
+    MibvhError
+        If the width is none of :data:`WIDTHS`, or the style none of :data:`STYLES`.
+    """
+    if width not in WIDTHS:
+        raise MibvhError(f"the width must be one of {', '.join(map(str, WIDTHS))}, not {width}")
+    _rules(style, None)
 
 
 def _rules(style: str, vote: bool | None) -> WarpStyle:

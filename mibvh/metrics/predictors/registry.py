@@ -110,6 +110,7 @@ _BUNDLED = (
     "mibvh.metrics.predictors.paper",
     "mibvh.metrics.predictors.ends",
     "mibvh.metrics.predictors.variability",
+    "mibvh.metrics.predictors.lanes",
 )
 _added: dict[str, Predictor] = {}
 

@@ -13,6 +13,7 @@ import pandas as pd
 from mibvh.metrics.predictor import pearson
 from mibvh.metrics.predictors import predictors
 from mibvh.studies.analyse.correlations import LANES, SCALAR, SIMD
+from mibvh.studies.analyse.warps import deviation
 from mibvh.studies.record.scene import Records
 from mibvh.triangles import F64
 
@@ -106,17 +107,16 @@ def simd_deviation(records: Records) -> pd.DataFrame:
     """
     rows = []
     for record in records:
-        ratio = np.log(record.column(SIMD.ns) / record.column(SCALAR.ns))
-        deviation = ratio - ratio.mean()
-        r = pearson(record.column("lcv"), deviation)
+        departs = deviation(record.column(SIMD.ns), record.column(SCALAR.ns))
+        r = pearson(record.column("lcv"), departs)
         error = np.hypot(record.column(SIMD.error), record.column(SCALAR.error))
         rows.append(
             {
                 "scene": record.scene,
-                "deviation": float(np.abs(deviation).mean()),
+                "deviation": float(np.abs(departs).mean()),
                 "r": r,
                 "explained": r * abs(r),
-                "noise": 1 - reliability(deviation, error),
+                "noise": 1 - reliability(departs, error),
             }
         )
     return pd.DataFrame(rows)

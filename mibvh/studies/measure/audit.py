@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 from mibvh.audit.record import Check
 from mibvh.audit.run import audit_figures, audit_hits, check_tree
 from mibvh.studies.measure.counts import RayCounter
 from mibvh.traversal.trace import Hits
 from mibvh.tree import Tree
+from mibvh.variant import mitsuba
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Auditor:
         self._first: Hits | None = None
 
     def __call__(self, tree: Tree, values: dict[str, float]) -> Checks:
-        """Check a tree and what its row says of SAH, EPO and counted cost.
+        """Check a tree and what its row says of SAH, EPO, counted cost and warps' scalar cost.
 
         The values may be kept ones of earlier runs: what the tree is traced for here is new.
         """
@@ -46,4 +48,16 @@ class Auditor:
             scene, tree, rays, hits, counted_cost=values["counted_cost"], others=self._first
         )
         self._first = self._first or hits
-        return Checks([sound, *figures, *traced])
+        return Checks([sound, *figures, *traced, *self._warps(tree, hits, values)])
+
+    def _warps(self, tree: Tree, hits: Hits, values: dict[str, float]) -> Iterator[Check]:
+        """Check that simulated warps of one lane cost what the kernel counts for the same rays.
+
+        The simulation does not re-test popped nodes, and a GPU may contract products and sums.
+        """
+        if self._counter.cull or not mitsuba().variant().startswith("llvm"):
+            return
+        costs = tree.meta["c_inner"] * hits.inner + tree.meta["c_tri"] * hits.tests
+        counted = float(costs[self._counter.warps.places].mean())
+        simulated = values["warp_scalar_cost"]
+        yield Check.of("warps", simulated, counted, 1e-9 * counted, "of one lane: counted cost")

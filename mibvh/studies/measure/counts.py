@@ -12,6 +12,7 @@ from mibvh.metrics.points import RayEnds, point_costs, ray_hits, ray_starts
 from mibvh.metrics.predictor import path_length_ratio
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
+from mibvh.studies.measure.warps import WarpCounter, WarpRules
 from mibvh.studies.record.scene import OriginCost
 from mibvh.traversal.records import make_records, unit_scale
 from mibvh.traversal.trace import Hits, Tracer
@@ -56,10 +57,15 @@ class RayCounter:
     rays : RaySet
     cull : bool
         Re-test popped nodes.
+    rules : WarpRules
+        Of the warps that are simulated.
     """
 
-    def __init__(self, scene: Scene, rays: RaySet, cull: bool) -> None:
+    def __init__(
+        self, scene: Scene, rays: RaySet, cull: bool, rules: WarpRules | None = None
+    ) -> None:
         self.scene, self.triangles, self.rays, self.cull = scene, scene.triangles, rays, cull
+        self.warps = WarpCounter(scene.triangles, rays, rules or WarpRules())
         self._paths: RayPaths | None = None
 
     @functools.cached_property
@@ -96,6 +102,7 @@ class RayCounter:
         counters = hits.counters()
         values = {name: counters[name] for name in _COUNTERS}
         values["counted_cost"] = hits.counted_cost(c_inner, c_tri)
+        values["cost_deviation"] = float(costs.std())
         return Counts(
             values={**values, **self._ends(tree, hits), **self._lines(tree, hits)},
             cost_groups=(sums / size).tolist(),

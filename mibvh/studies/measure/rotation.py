@@ -19,6 +19,7 @@ from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import key_of
 from mibvh.studies.measure.times import Frame, TreeTimes, time_frames
 from mibvh.studies.measure.trees import TreeSource, study_tree
+from mibvh.studies.measure.warps import WarpRules
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import Result, Timing, TreeRow
 from mibvh.traversal.records import make_records, unit_scale
@@ -73,7 +74,7 @@ def rotation_experiment(setting: Setting, report: Reporter) -> RotationResult:
     """Build, judge, count and time the trees of the rotated scene."""
     options, store = setting.options, setting.store
     scene, rays = rotated(setting.scene, setting.rays)
-    counter = RayCounter(scene, rays, options.cull)
+    counter = RayCounter(scene, rays, options.cull, WarpRules(**options.warps()))
     auditor = Auditor(counter)
     share = 0.6 / len(options.builders)
     trees: dict[str, Tree] = {}

@@ -20,6 +20,7 @@ from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import Store, key_of
 from mibvh.studies.measure.times import LANES, TreeTimes, times
 from mibvh.studies.measure.trees import TreeSource, study_tree
+from mibvh.studies.measure.warps import WarpRules
 from mibvh.studies.record.experiment import Experiment, chosen
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.progress import Listener, Progress, Reporter
@@ -33,6 +34,7 @@ _STAGES = {
     "tree": "trees",
     "metrics": "metrics",
     "counts": "counts",
+    "warps": "warps",
     "timing": "stopwatch",
     "picture": "picture",
     "audit": "audit",
@@ -92,7 +94,7 @@ def _predict(
     rays_key = key_of("mibvh.rays.diffuse", digest=digest, cameras=cameras(scene), **options.rays())
     report("rays", 0.0)
     rays = store.array(RaySet, rays_key, functools.partial(diffuse_rays, scene, **options.rays()))
-    counter = RayCounter(scene, rays, options.cull)
+    counter = RayCounter(scene, rays, options.cull, WarpRules(**options.warps()))
     auditor = Auditor(counter)
     trees: dict[str, Tree] = {}
     rows: list[TreeRow] = []

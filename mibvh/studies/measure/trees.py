@@ -105,11 +105,17 @@ def study_tree(
     )
     count = functools.partial(counter, tree)
     counts = kept(store, f"counts-{counts_key}", Counts, count)
-    values = {**judged.values, **counts.values}
+    report("warps", 0.9)
+    values = {**judged.values, **counts.values, **counter.warps.kept(tree, store)}
     report("audit", 0.95)
-    audited = {name: values[name] for name in ("sah", "epo", "counted_cost")}
+    audited = {name: values[name] for name in ("sah", "epo", "counted_cost", "warp_scalar_cost")}
     audit_key = key_of(
-        "mibvh.audit.run", **of, rays=counter.rays.digest, cull=counter.cull, **audited
+        "mibvh.studies.measure.audit",
+        **of,
+        rays=counter.rays.digest,
+        cull=counter.cull,
+        warps=counter.warps.rules.width,
+        **audited,
     )
     audit = functools.partial(auditor, tree, values)
     row = TreeRow(

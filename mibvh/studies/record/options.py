@@ -32,6 +32,10 @@ class StudyOptions:
         Relative standard error of a tree's time at which measuring stops.
     cull : bool
         Re-test popped nodes; off as in the paper.
+    warp_width : int
+        Lanes of the warps that are simulated.
+    warp_style : str
+        Their rules, from :data:`mibvh.traversal.warp.STYLES`; by default the paper's kernel.
     """
 
     builders: tuple[str, ...] = ()
@@ -46,6 +50,8 @@ class StudyOptions:
     seconds: float = 2.0
     standard_error: float = 0.005
     cull: bool = False
+    warp_width: int = 32
+    warp_style: str = "persistent"
 
     def __post_init__(self) -> None:
         numbers = ("width", "height", "samples", "bounces", "scalar_rays", "seed", "seconds",
@@ -53,6 +59,7 @@ class StudyOptions:
         check(**{name: getattr(self, name) for name in numbers})
         if self.viewpoints != 0:  # all of a scene
             check(viewpoints=self.viewpoints)
+        self._check_warps()
         for name in ("builders", "experiments"):
             if isinstance(given := getattr(self, name), str):
                 raise MibvhError(f"{name} takes a tuple of names, such as ({given!r},), not a text")
@@ -64,10 +71,19 @@ class StudyOptions:
                 f"there is no experiment {unknown[0]!r}; there are: {', '.join(EXPERIMENTS)}"
             )
 
+    def _check_warps(self) -> None:
+        from mibvh.traversal.warp import check_rules  # compiled code: not for options' sake
+
+        check_rules(self.warp_width, self.warp_style)
+
     def rays(self) -> dict[str, Any]:
         """Arguments for :func:`mibvh.diffuse_rays`."""
         names = ("width", "height", "samples", "bounces", "seed")
         return {"viewpoints": self.viewpoints or None, **{n: getattr(self, n) for n in names}}
+
+    def warps(self) -> dict[str, Any]:
+        """Arguments for :class:`mibvh.studies.measure.warps.WarpRules`."""
+        return {"width": self.warp_width, "style": self.warp_style}
 
     def stopwatch(self, lanes: str) -> dict[str, Any]:
         """What times depend on, besides the trees, the rays and the machine."""

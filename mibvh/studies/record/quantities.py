@@ -67,6 +67,8 @@ COUNTED = (
     ),
     Quantity(name="inner_deviation", unit="nodes/ray", rays="all"),
     Quantity(name="steps_deviation", unit="steps/ray", rays="all"),
+    # Standard deviation over the rays of what one costs.
+    Quantity(name="cost_deviation", unit="cost", rays="all"),
     Quantity(
         name="lane_utilisation",
         unit="share",
@@ -86,6 +88,44 @@ COUNTED = (
     Quantity(name="sah_lines_error", unit="cost", rays="lines"),
     Quantity(name="touched", unit="cost", rays="lines"),
     Quantity(name="line_share", unit="share", rays="lines"),
+)
+
+#: Computed by :mod:`mibvh.studies.measure.warps`.
+SIMULATED = (
+    Quantity(
+        name="warp_cost",
+        unit="cost",
+        rays="warp",
+        heading="warp cost",
+        format=".2f",
+        help="issued by simulated warps in lockstep, times their width, per ray",
+        smaller_is_better=True,
+        main=True,
+        target=True,
+        figure="warp",
+        caption="Cost per ray in simulated warps against the prediction: no stopwatch, no noise.",
+        place=7,
+    ),
+    # Of the same rays, each in a lane of its own.
+    Quantity(name="warp_scalar_cost", unit="cost", rays="warp"),
+    Quantity(
+        name="warp_overhead",
+        unit="factor",
+        rays="warp",
+        heading="warp / scalar",
+        format=".2f",
+        help="warp cost over counted cost of the same rays",
+        place=24,
+    ),
+    Quantity(
+        name="warp_utilisation",
+        unit="share",
+        rays="warp",
+        heading="warp lanes busy",
+        format=".0%",
+        help="share of the warp cost in which a lane had work",
+        place=25,
+    ),
 )
 
 #: Computed by :mod:`mibvh.studies.measure.times`.
@@ -134,7 +174,7 @@ TIMED = (
 
 
 def quantities() -> dict[str, Quantity]:
-    """Return all quantities by name: of metrics, counted, timed, of experiments.
+    """Return all quantities by name: of metrics, counted, simulated, timed, of experiments.
 
     Raises
     ------
@@ -144,7 +184,7 @@ def quantities() -> dict[str, Quantity]:
     found: dict[str, Quantity] = {}
     of_metrics = (q for metric in metrics() for q in metric.quantities)
     of_experiments = (q for experiment in experiments() for q in experiment.quantities)
-    for quantity in (*of_metrics, *COUNTED, *TIMED, *of_experiments):
+    for quantity in (*of_metrics, *COUNTED, *SIMULATED, *TIMED, *of_experiments):
         if quantity.name in found:
             raise MibvhError(f"two quantities are called {quantity.name}")
         found[quantity.name] = quantity

@@ -12,6 +12,7 @@ import pandas as pd
 from mibvh.files import atomic_path, file_name, make_folder, write_text
 from mibvh.metrics.registry import Quantity
 from mibvh.studies.measure.counts import LINES
+from mibvh.studies.measure.warps import simulated_rays
 from mibvh.studies.record.experiment import TidyRow, experiments
 from mibvh.studies.record.quantities import quantities
 from mibvh.studies.record.scene import Records, SceneRecord
@@ -114,6 +115,7 @@ def _rays(record: SceneRecord) -> dict[str, int]:
     return {
         "all": count,
         "lines": -(-count // every),  # every k-th
+        "warp": len(simulated_rays(count, record.options.warp_width)),
         **{lanes: timing.rays for lanes, timing in record.timing.items()},
     }
 

@@ -8,7 +8,8 @@ import pandas as pd
 
 from mibvh.studies.analyse.builders import relative_to, relative_to_best, splitting_builders
 from mibvh.studies.analyse.depth import remaining_relative
-from mibvh.studies.paper.claims.common import NONE, TOP_DOWN, shares
+from mibvh.studies.measure.depth import DepthResult
+from mibvh.studies.paper.claims.common import NONE, TOP_DOWN, scenes_with, shares
 from mibvh.studies.paper.published import published
 from mibvh.studies.record.claim import Claim
 from mibvh.studies.record.scene import Records
@@ -19,7 +20,8 @@ _TOPIC = "builders"
 def builder_claims(records: Records, found: pd.DataFrame) -> Iterator[Claim]:
     """Judge the claims on SAH and EPO of the builders."""
     yield from _of_epo(records)
-    yield from _of_sah(relative_to_best(records, without=splitting_builders(records)))
+    best = relative_to_best(records, without=splitting_builders(records))
+    yield from _of_sah(best, scenes_with(records, "bbvh"))
 
 
 def _of_epo(records: Records) -> Iterator[Claim]:
@@ -33,6 +35,7 @@ def _of_epo(records: Records) -> Iterator[Claim]:
         ours=shares({b: epo[b] for b in known}) if known else NONE,
         judged="each within 15 points of the paper's",
         conditions=tuple(bool(abs(epo[b] - paper[b]) <= 0.15) for b in known),
+        scenes=scenes_with(records, "lbvh", *known),
     )
     sweeps = [b for b in TOP_DOWN if b in epo.index]
     yield Claim(
@@ -42,10 +45,11 @@ def _of_epo(records: Records) -> Iterator[Claim]:
         ours=", ".join(f"{b}: EPO {epo[b]:.0%}, SAH {sah[b]:.0%}" for b in sweeps) or NONE,
         judged="their EPO is a smaller share of lbvh's than their SAH",
         conditions=tuple(bool(epo[b] < sah[b]) for b in sweeps),
+        scenes=scenes_with(records, "lbvh", *sweeps),
     )
 
 
-def _of_sah(best: pd.DataFrame) -> Iterator[Claim]:
+def _of_sah(best: pd.DataFrame, scenes: int) -> Iterator[Claim]:
     """Judge the sweep by how far it is above the best of the trees that split no triangle."""
     enough = "bbvh" in best.index and len(best) >= 4
     sweep = best.loc["bbvh"] if enough else None
@@ -60,6 +64,7 @@ def _of_sah(best: pd.DataFrame) -> Iterator[Claim]:
         else NONE,
         judged="among the worse third of the builders that do not split triangles",
         conditions=(rank <= round(len(best) / 3),) if enough else (),
+        scenes=scenes,
     )
     yield Claim(
         topic=_TOPIC,
@@ -70,6 +75,7 @@ def _of_sah(best: pd.DataFrame) -> Iterator[Claim]:
         else NONE,
         judged="60% above the best tree without split triangles, in some scene",
         conditions=(bool(sweep["max"] >= 1.6),) if sweep is not None else (),
+        scenes=scenes,
     )
 
 
@@ -104,4 +110,5 @@ def depth_claims(records: Records, found: pd.DataFrame) -> Iterator[Claim]:
         judged="in the mean over the scenes, no other builder that does not split triangles "
         "leaves less after 1, 7 or 63 splits",
         conditions=tuple(bool(of.min() >= 1 - 1e-9) for of in least.values()),
+        scenes=sum(record.result(DepthResult) is not None for record in records),
     )

@@ -21,6 +21,11 @@ TOP_DOWN = ("bbvh", "sbvh")
 _NOISE = 0.05
 
 
+def scenes_with(records: Records, *builders: str) -> int:
+    """How many scenes have trees of all these builders."""
+    return sum(set(builders) <= {tree.builder for tree in record.trees} for record in records)
+
+
 def steady(records: Records, lanes: LaneMode) -> bool:
     """Whether every tree's time is known well enough to judge by."""
     return all(tree[lanes.error] <= _NOISE for record in records for tree in record.trees)

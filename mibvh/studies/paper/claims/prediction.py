@@ -38,6 +38,7 @@ def _by_sah(
         ours=_time_and_count(summary, "SAH"),
         judged="some scene's r below 0.90 (borderline, say the slides)" + by,
         conditions=(bool(r["min"] < 0.90),) if known else (),
+        scenes=int(r["scenes"]),
     )
     worst = of_target.loc[of_target["predictor"] == "SAH", "worst_error"].dropna()
     many = f"30% or more in {(worst >= 0.3).sum()} of {len(worst)} scenes"
@@ -48,6 +49,7 @@ def _by_sah(
         ours=f"{worst.max():.0%} at worst; {many}" if known else NONE,
         judged="some tree off the line by 30% in a quarter of the scenes" + by,
         conditions=(bool((worst >= 0.3).mean() >= 0.25),) if known else (),
+        scenes=len(worst),
     )
 
 
@@ -63,6 +65,7 @@ def _by_both(summary: pd.DataFrame, target: str, by: str) -> Iterator[Claim]:
         conditions=(bool(fitted["mean"] >= 0.99), bool(fitted["min"] >= 0.90))
         if np.isfinite(fitted["mean"])
         else (),
+        scenes=int(fitted["scenes"]),
     )
     yield Claim(
         topic=_TOPIC,
@@ -73,6 +76,7 @@ def _by_both(summary: pd.DataFrame, target: str, by: str) -> Iterator[Claim]:
         conditions=tuple(bool(fixed[c] > alone[c]) for c in ("mean", "min"))
         if np.isfinite(alone["mean"])
         else (),
+        scenes=int(fixed["scenes"]),
     )
 
 
@@ -88,6 +92,7 @@ def _alpha(found: pd.DataFrame) -> Claim:
         ours=f"{alpha.min():.2f} to {alpha.max():.2f} (counted cost)" if len(alpha) else NONE,
         judged="a range of 0.2 or more",
         conditions=(bool(np.ptp(alpha) >= 0.2),) if len(alpha) > 1 else (),
+        scenes=len(alpha),
     )
 
 

@@ -21,7 +21,7 @@ def rotation_claims(records: Records, found: pd.DataFrame) -> Iterator[Claim]:
     factors = rotation_factors(records).drop(columns="builder")
     mean = factors.groupby("scene").mean()
     yield from _of_sah(mean, mean.mean(), timed=steady_rotated(records))
-    yield from _of_epo(mean.mean())
+    yield from _of_epo(mean.mean(), len(mean))
 
 
 def _of_sah(mean: pd.DataFrame, m: pd.Series, timed: bool) -> Iterator[Claim]:
@@ -36,6 +36,7 @@ def _of_sah(mean: pd.DataFrame, m: pd.Series, timed: bool) -> Iterator[Claim]:
         else NONE,
         judged="on average counted cost, and time where it is known, grow by more than SAH",
         conditions=tuple(bool(m[n] > m["sah"]) for n in judged_by) if done else (),
+        scenes=len(mean),
     )
     less = int((mean["sah"] < mean["counted_cost"]).sum())
     yield Claim(
@@ -45,10 +46,11 @@ def _of_sah(mean: pd.DataFrame, m: pd.Series, timed: bool) -> Iterator[Claim]:
         ours=f"in {less} of {len(mean)} scenes (counted cost)" if done else NONE,
         judged="in all scenes",
         conditions=(less == len(mean),) if done else (),
+        scenes=len(mean),
     )
 
 
-def _of_epo(m: pd.Series) -> Iterator[Claim]:
+def _of_epo(m: pd.Series, scenes: int) -> Iterator[Claim]:
     done, paper = bool(np.isfinite(m["sah"])), published().rotation
     yield Claim(
         topic=_TOPIC,
@@ -59,6 +61,7 @@ def _of_epo(m: pd.Series) -> Iterator[Claim]:
         conditions=(bool(m["epo"] > m[["sah", "counted_cost", "fitted"]].max()),)  # skips NaN
         if done
         else (),
+        scenes=scenes,
     )
     gap = {name: abs(np.log(m[name] / m["counted_cost"])) for name in ("fitted", "sah")}
     yield Claim(
@@ -73,4 +76,5 @@ def _of_epo(m: pd.Series) -> Iterator[Claim]:
         conditions=(bool(gap["fitted"] < gap["sah"]), bool(gap["fitted"] < np.log(1.2)))
         if done and np.isfinite(m["fitted"])
         else (),
+        scenes=scenes,
     )

@@ -14,6 +14,7 @@ from mibvh.studies.report.tables.instrument import instrument_sheets
 from mibvh.studies.report.tables.prediction import prediction_sheets
 from mibvh.studies.report.tables.steps import step_sheets
 from mibvh.studies.report.tables.trees import tree_sheet
+from mibvh.studies.report.tables.warps import warp_sheets
 
 
 def answers(records: Records, found: pd.DataFrame) -> list[Sheet]:
@@ -28,6 +29,7 @@ def answers(records: Records, found: pd.DataFrame) -> list[Sheet]:
     return [
         *claim_sheets(records, found),
         *prediction_sheets(records, found),
+        *warp_sheets(records),
         *builder_sheets(records),
         *(sheet for experiment in experiments() for sheet in experiment.sheets(records)),
         *step_sheets(records),

@@ -8,6 +8,7 @@ import pandas as pd
 
 from mibvh.audit.record import Check
 from mibvh.studies.measure.rotation import RotationResult
+from mibvh.studies.record.quantities import SIMULATED
 from mibvh.studies.record.scene import Records, SceneRecord, TreeRow
 from mibvh.studies.record.sheet import Column, Sheet
 
@@ -22,10 +23,12 @@ _CHECKS = {
     "mitsuba": "hits, against Mitsuba's own intersection",
     "counts": "counted cost, against a second launch",
     "lanes": "SIMD lanes, against scalar lanes and a simulation without Dr.Jit",
+    "warps": "simulated warps of one lane, against counted cost of the same rays",
     "trees": "hits, against those of the scene's other trees",
 }
+_SIMULATED = tuple(quantity.name for quantity in SIMULATED)
 #: Which quantities of a tree a failed check casts doubt on; all of them, where it is not named.
-_DOUBTS = {"sah": ("sah",), "epo": ("epo",)}
+_DOUBTS = {"sah": ("sah",), "epo": ("epo",), "warps": _SIMULATED}
 
 
 def audited_trees(record: SceneRecord) -> list[tuple[str, TreeRow]]:

@@ -20,6 +20,7 @@ _STAGES = {
     "trees": "building them, all builders",
     "metrics": "SAH and EPO of all trees",
     "counts": "rays traced with counters, point queries, lines",
+    "warps": "warps in lockstep simulated",
     "stopwatch": "scalar and SIMD",
     "rotation": "all of it: trees, metrics, counts, stopwatch",
     "audit": "numbers held against another path through the code",
