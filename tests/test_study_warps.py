@@ -210,6 +210,21 @@ def test_simd_claims_are_judged_on_warps_and_on_times_apart(ten):
     assert found["top-down sweeps have the lowest LCV of all"].held == "yes"
 
 
+def test_lcv_is_held_against_the_spread():
+    """Once LCV explains all and the spread half, once the other way round."""
+    name = "LCV explains best how SIMD deviates from scalar, in simulated warps"
+    held = []
+    for exact, other in (("lcv", "cost_deviation"), ("cost_deviation", "lcv")):
+        records = [record(f"scene{i}") for i in range(FEWEST_SCENES)]
+        for row in itertools.chain.from_iterable(r.trees for r in records):
+            scale = {"lcv": 1.0, "cost_deviation": row["counted_cost"]}
+            ratio = row["warp_cost"] / row["warp_scalar_cost"]
+            row.values[exact] = ratio * scale[exact]
+            row.values[other] = (3.0 if row.builder == "bbvh" else 2.0) * scale[other]
+        held.append(judged(records)[name].held)
+    assert held == ["yes", "no"]
+
+
 def test_claims_on_noisy_times_leave_those_on_warps_alone():
     noisy = [record(f"scene{i}", noise=0.2) for i in range(FEWEST_SCENES)]
     found = judged(noisy)

@@ -109,6 +109,19 @@ def deviation_by_scene(records: Records) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def explained(records: Records) -> dict[str, float]:
+    """Pearson's r with the simulated deviation, over all trees of all scenes.
+
+    Returns
+    -------
+    dict of str to float
+        Of ``lcv`` and ``spread``; see :func:`warp_deviation`.
+    """
+    of = warp_deviation(records)
+    departs = of["simulated"].to_numpy()
+    return {name: pearson(of[name].to_numpy(), departs) for name in ("lcv", "spread")}
+
+
 def warp_rules(records: Records) -> str:
     """Return the width and style of the warps, in words."""
     rules = {(record.options.warp_width, record.options.warp_style) for record in records}
