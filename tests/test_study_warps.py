@@ -12,7 +12,12 @@ from conftest import scene_record, tree_row
 import mibvh
 from mibvh.metrics.predictors import predictor
 from mibvh.studies.analyse.correlations import correlations
-from mibvh.studies.analyse.warps import deviation_by_builder, deviation_by_scene, warp_deviation
+from mibvh.studies.analyse.warps import (
+    deviation_by_builder,
+    deviation_by_scene,
+    explained,
+    warp_deviation,
+)
 from mibvh.studies.measure import warps
 from mibvh.studies.measure.store import Store
 from mibvh.studies.paper.claims.simd import simd_claims
@@ -185,6 +190,16 @@ def test_a_scene_without_times_has_no_timed_deviation():
     assert np.isnan(row["timed"])
     assert np.isnan(row["r_timed"])
     assert row["simulated"] > 0
+
+
+def test_a_flat_scene_has_no_lcv_and_takes_none_away():
+    """Where no ray meets a leaf LCV is zero: that scene says nothing of it, the others do."""
+    flat = record("flat")
+    for row in flat.trees:
+        row.values |= {"lcv": 0.0, "cost_deviation": 0.0}
+    assert warp_deviation([flat])[["lcv", "spread"]].isna().all(axis=None)
+    assert np.isnan(deviation_by_scene([flat])["r_lcv"].item())
+    assert explained([flat, record("one")]) == explained([record("one")])
 
 
 def judged(records):
