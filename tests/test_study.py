@@ -72,7 +72,7 @@ def test_files(finished):
 def test_seconds_are_those_of_the_stages(finished):
     seconds = finished[0].scenes[0].seconds
     assert list(seconds) == [
-        "rays", "trees", "metrics", "counts", "audit", "stopwatch", "picture", "depth",
+        "rays", "trees", "metrics", "counts", "warps", "audit", "stopwatch", "picture", "depth",
     ]  # fmt: skip
     assert all(spent > 0 for spent in seconds.values())
     built = finished[0].table["build_seconds"].sum()

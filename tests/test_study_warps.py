@@ -12,7 +12,12 @@ from conftest import scene_record, tree_row
 import mibvh
 from mibvh.metrics.predictors import predictor
 from mibvh.studies.analyse.correlations import correlations
-from mibvh.studies.analyse.warps import deviation_by_builder, deviation_by_scene, warp_deviation
+from mibvh.studies.analyse.warps import (
+    deviation_by_builder,
+    deviation_by_scene,
+    explained,
+    warp_deviation,
+)
 from mibvh.studies.measure import warps
 from mibvh.studies.measure.store import Store
 from mibvh.studies.paper.claims.simd import simd_claims
@@ -187,6 +192,16 @@ def test_a_scene_without_times_has_no_timed_deviation():
     assert row["simulated"] > 0
 
 
+def test_a_flat_scene_has_no_lcv_and_takes_none_away():
+    """Where no ray meets a leaf LCV is zero: that scene says nothing of it, the others do."""
+    flat = record("flat")
+    for row in flat.trees:
+        row.values |= {"lcv": 0.0, "cost_deviation": 0.0}
+    assert warp_deviation([flat])[["lcv", "spread"]].isna().all(axis=None)
+    assert np.isnan(deviation_by_scene([flat])["r_lcv"].item())
+    assert explained([flat, record("one")]) == explained([record("one")])
+
+
 def judged(records):
     found = simd_claims(records, correlations(records))
     return {claim.claim: claim for claim in found}
@@ -208,6 +223,21 @@ def test_simd_claims_are_judged_on_warps_and_on_times_apart(ten):
     assert "times of this machine" in timed.judged
     assert found["top-down sweeps are SIMD friendly"].held == "yes"
     assert found["top-down sweeps have the lowest LCV of all"].held == "yes"
+
+
+def test_lcv_is_held_against_the_spread():
+    """Once LCV explains all and the spread half, once the other way round."""
+    name = "LCV explains best how SIMD deviates from scalar, in simulated warps"
+    held = []
+    for exact, other in (("lcv", "cost_deviation"), ("cost_deviation", "lcv")):
+        records = [record(f"scene{i}") for i in range(FEWEST_SCENES)]
+        for row in itertools.chain.from_iterable(r.trees for r in records):
+            scale = {"lcv": 1.0, "cost_deviation": row["counted_cost"]}
+            ratio = row["warp_cost"] / row["warp_scalar_cost"]
+            row.values[exact] = ratio * scale[exact]
+            row.values[other] = (3.0 if row.builder == "bbvh" else 2.0) * scale[other]
+        held.append(judged(records)[name].held)
+    assert held == ["yes", "no"]
 
 
 def test_claims_on_noisy_times_leave_those_on_warps_alone():

@@ -22,8 +22,12 @@ def deviation(simd: F64, scalar: F64) -> F64:
     Returns
     -------
     (K,) float64
-        The logarithm of their ratio, less its mean over the trees.
+        The logarithm of their ratio, less its mean over the trees. NaN where some value is not
+        known, or is zero, as LCV is where no ray meets a leaf.
     """
+    values = np.array([simd, scalar])
+    if not (np.isfinite(values) & (values > 0)).all():
+        return np.full(len(simd), np.nan)
     ratio = np.log(simd / scalar)
     return np.asarray(ratio - ratio.mean())
 
@@ -107,6 +111,19 @@ def deviation_by_scene(records: Records) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
+
+
+def explained(records: Records) -> dict[str, float]:
+    """Pearson's r with the simulated deviation, over the trees of scenes where all is known.
+
+    Returns
+    -------
+    dict of str to float
+        Of ``lcv`` and ``spread``; see :func:`warp_deviation`.
+    """
+    of = warp_deviation(records).dropna(subset=["simulated", "lcv", "spread"])
+    departs = of["simulated"].to_numpy()
+    return {name: pearson(of[name].to_numpy(), departs) for name in ("lcv", "spread")}
 
 
 def warp_rules(records: Records) -> str:
