@@ -128,7 +128,11 @@ class Metric:
         MibvhError
             If the returned quantities are not the declared ones.
         """
-        values = dict(self.compute(subject))
+        # Plain numbers: records are written as JSON.
+        values = {
+            name: value.item() if isinstance(value, np.generic) else value
+            for name, value in self.compute(subject).items()
+        }
         declared = {quantity.name for quantity in self.quantities}
         if wrong := sorted(declared ^ set(values)):
             raise MibvhError(
