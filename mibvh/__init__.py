@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mibvh import plot
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
     from mibvh.collapsing import collapse, unfold
+    from mibvh.comparison import Comparison, compare
     from mibvh.errors import MibvhError
     from mibvh.layouts import read_tree, write_tree
     from mibvh.measures import Area, Flux, Segments
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
 
 _PUBLIC = {
     "Area": "mibvh.measures",
+    "Comparison": "mibvh.comparison",
     "Context": "mibvh.builders",
     "Draft": "mibvh.builders",
     "Estimate": "mibvh.metrics.points",
@@ -69,6 +71,7 @@ _PUBLIC = {
     "build": "mibvh.builders",
     "builder": "mibvh.builders",
     "collapse": "mibvh.collapsing",
+    "compare": "mibvh.comparison",
     "diffuse_rays": "mibvh.rays",
     "epo": "mibvh.metrics.epo",
     "epo_at_ends": "mibvh.metrics.points",
@@ -102,6 +105,7 @@ _PUBLIC = {
 
 __all__ = [
     "Area",
+    "Comparison",
     "Context",
     "Draft",
     "Estimate",
@@ -125,6 +129,7 @@ __all__ = [
     "build",
     "builder",
     "collapse",
+    "compare",
     "diffuse_rays",
     "epo",
     "epo_at_ends",

@@ -20,6 +20,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 from typer.core import TyperGroup
@@ -48,7 +49,6 @@ class _Commands(TyperGroup):
 app = typer.Typer(
     cls=_Commands,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     help="Measures and predicts how fast a bounding volume hierarchy really is.",
@@ -146,6 +146,8 @@ def _parse_pairs(pairs: list[str], option: str = "--option") -> dict[str, str]:
         name, equals, value = pair.partition("=")
         if not equals or not name:
             raise MibvhError(f"{option} takes NAME=VALUE, not {pair!r}")
+        if name in parsed:
+            raise MibvhError(f"{option} is given {name!r} twice")
         parsed[name] = value
     return parsed
 
@@ -161,19 +163,44 @@ def _parse_options(pairs: list[str]) -> dict[str, Any]:
     return options
 
 
-def _names(text: str) -> tuple[str, ...]:
-    """Names that are separated by commas."""
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
 def _load_plugin(path: Path) -> None:
     """Run a Python file that registers builders."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None or not path.exists():
         raise MibvhError(f"--plugin {path}: there is no such Python file")
+    folder = str(path.resolve().parent)
+    if folder not in sys.path:
+        sys.path.append(folder)  # its neighbours; last, so that they hide nothing
     module = importlib.util.module_from_spec(spec)
     sys.modules[path.stem] = module
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever the user's code raises
+        del sys.modules[path.stem]
+        raise MibvhError(f"--plugin {_place(error, path)}: {_said(error)}") from error
+
+
+def _place(error: Exception, path: Path) -> str:
+    """File and line at which a plugin failed: its own last line, or that of a syntax error."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}, line {error.lineno}"
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if Path(f.filename).parent == path.resolve().parent]
+    own = own or [f for f in frames if f.filename == str(path)]
+    return f"{own[-1].filename}, line {own[-1].lineno}" if own else str(path)
+
+
+def _said(error: Exception) -> str:
+    text = error.msg if isinstance(error, SyntaxError) else " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from mibvh import __version__
+
+        typer.echo(f"mibvh {__version__}")
+        raise typer.Exit
 
 
 @app.callback()
@@ -188,6 +215,10 @@ def _common(
     ] = False,
     debug: Annotated[
         bool, typer.Option("--debug", help="show the traceback behind a refusal")
+    ] = False,
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="print the version"),
     ] = False,
 ) -> None:
     # In the environment, so that it holds for worker processes too.
@@ -297,6 +328,65 @@ def import_command(
         tree = tree.replace(meta={**tree.meta, "digest": triangles.digest})
     tree.save(output)
     _print({"builder": tree.meta.get("builder"), "sah": sah(tree), **tree.stats()}, as_json)
+
+
+@app.command("compare")
+def compare_command(
+    scene: SceneArgument,
+    first: Annotated[str, typer.Argument(metavar="A", help="a tree's file, or a builder")],
+    second: Annotated[str, typer.Argument(metavar="B", help="likewise")],
+    rays: Annotated[Path | None, typer.Option(help="ray file; diffuse rays by default")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="PNG of the difference over the scene")
+    ] = None,
+    sensor: Annotated[int, typer.Option(help="which of the scene's cameras the PNG shows")] = 0,
+    define: Define = None,
+    as_json: Json = False,
+) -> None:
+    """Two trees side by side: figures, where their costs differ, and which rays pay."""
+    from mibvh import read_rays
+    from mibvh.comparison import compare, difference_figure
+    from mibvh.files import atomic_path
+
+    if output is not None and (output.suffix.lower() != ".png" or not output.parent.is_dir()):
+        raise MibvhError(f"{output}: the picture is a .png file in a folder that is there")
+    asked = read_rays(rays) if rays else None
+    loaded = _load(scene, define)
+    found = compare(loaded, first, second, rays=asked)
+    if output is not None:
+        figure = difference_figure(loaded, found, sensor)
+        with atomic_path(output) as path:
+            figure.savefig(path, format="png", dpi=120, facecolor="white")
+    if as_json:
+        typer.echo(json.dumps(found.to_json()))
+    else:
+        _print_comparison(found)
+
+
+def _print_comparison(found: Any) -> None:
+    console = Console()
+    table = Table("", *(escape(name) for name in found.names), "B over A", box=None)
+    for name, (a, b) in found.figures.items():
+        table.add_row(name, f"{a:.6g}", f"{b:.6g}", f"{b / a:.3f}" if a else "–")
+    console.print(table)
+    table = Table("depth", "SAH: A", "B", "EPO: A", "B", box=None)
+    for level in found.by_depth:
+        table.add_row(str(level.depth), *(f"{v:.3g}" for v in (*level.sah, *level.epo)))
+    console.print(table)
+    table = Table("of the rays", "cost in B less cost in A", box=None)
+    for share, value in found.quantiles.items():
+        table.add_row(f"{share:.0%}", f"{value:+.4g}")
+    console.print(table)
+    shares = found.shares
+    console.print(
+        f"{shares['cheaper']:.1%} of the rays are cheaper in B, {shares['dearer']:.1%} dearer, "
+        f"{shares['same']:.1%} cost the same"
+    )
+    table = Table("bounce", "viewpoint", "rays", "cost in A", "in B", box=None)
+    for one in found.by_origin:
+        costs = (f"{value:.4g}" for value in one.cost)
+        table.add_row(str(one.bounce), str(one.viewpoint), f"{one.rays:,}", *costs)
+    console.print(table)
 
 
 @app.command("export")
@@ -467,7 +557,9 @@ def render(
         list[str] | None, typer.Option(help="NAME=VALUE of the integrator or the builder")
     ] = None,
     define: Define = None,
-    spp: Annotated[int, typer.Option(help="samples per pixel")] = 16,
+    spp: Annotated[
+        int | None, typer.Option(help="samples per pixel; the scene's by default")
+    ] = None,
     size: Annotated[str | None, typer.Option(help="WxH in pixels; the scene's by default")] = None,
     sensor: Annotated[int, typer.Option(help="which of the scene's cameras")] = 0,
     seed: Annotated[int, typer.Option(help="of the image")] = 0,
@@ -506,7 +598,24 @@ def study(
         list[str], typer.Argument(metavar="SCENE...", help="as for build, or folders of scenes")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="folder of the results")],
-    builders: Annotated[str, typer.Option(help="names, comma-separated; all by default")] = "",
+    builders: Annotated[
+        str,
+        typer.Option(
+            help="names, comma-separated; all of the paper's by default. With options: "
+            "bittner(start=sbvh), or sbvh(bins=8..128:8) for a tree with each value"
+        ),
+    ] = "",
+    tree: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=FILE[,FILE...]",
+            help="a finished tree, kept as it is; one file per scene; may be repeated",
+        ),
+    ] = None,
+    rays: Annotated[
+        str | None,
+        typer.Option(metavar="FILE[,FILE...]", help="rays of your own; one file per scene"),
+    ] = None,
     profile: Annotated[str, typer.Option(help="quick or paper")] = "quick",
     experiments: Annotated[
         str, typer.Option(help="names from `mibvh experiments`, comma-separated; or all")
@@ -531,6 +640,7 @@ def study(
     """Build, measure, predict and report, for scenes and builders."""
     from mibvh import StudyOptions
     from mibvh import study as run
+    from mibvh.builders.chosen import split
     from mibvh.scene import with_defines
     from mibvh.studies import PROFILES
     from mibvh.studies.paper.catalogue import scenes_in
@@ -545,14 +655,22 @@ def study(
         for name, value in (("seconds", seconds), ("samples", samples))
         if value is not None
     }
-    named = _names(builders)
     if experiments:
-        choices["experiments"] = _names(experiments)
+        choices["experiments"] = split(experiments)
     defines = _parse_pairs(define or [], "-D")
     sources = [with_defines(str(part), defines) for source in scenes for part in scenes_in(source)]
-    options = StudyOptions(builders=named, **choices)
+    options = StudyOptions(builders=split(builders), **choices)
+    given = {name: files.split(",") for name, files in _parse_pairs(tree or [], "--tree").items()}
     with Board(len(sources), as_json) as board:
-        result = run(sources, output, options=options, progress=board, scheduler=scheduler)
+        result = run(
+            sources,
+            output,
+            trees=given,
+            rays=rays.split(",") if rays else None,
+            options=options,
+            progress=board,
+            scheduler=scheduler,
+        )
     if as_json:
         rows = json.loads(result.table.to_json(orient="records"))
         r = json.loads(result.correlations.to_json(orient="records"))
@@ -566,12 +684,17 @@ def study(
             "trees": rows,
             "correlations": r,
             "audit_failures": failed,
+            "left_out": result.left_out,
         }
         typer.echo(json.dumps(last))
     else:
         _print_study(result)
+    for name, why in result.left_out.items():
+        typer.echo(f"mibvh: {name} was left out: {why}", err=True)
     if result.failures:
         raise typer.Exit(AUDIT_FAILED)
+    if result.left_out:
+        raise typer.Exit(2)
 
 
 def _print_study(result: Any) -> None:
@@ -583,7 +706,9 @@ def _print_study(result: Any) -> None:
     shown = columns(main=True)
     table = Table("scene", "triangles", "builder", *(q.heading for q in shown), box=None)
     for _, row in result.table.iterrows():
-        cells = [format(row[quantity.name], quantity.format) for quantity in shown]
+        cells = [
+            format(row[q.name], q.format) if row[q.name] == row[q.name] else "–" for q in shown
+        ]
         table.add_row(row["scene"], f"{row['triangles']:,}", row["builder"], *cells)
     console.print(table)
     console.print()

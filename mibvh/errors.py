@@ -13,6 +13,29 @@ class MibvhError(ValueError):
     """
 
 
+def expect(kind: type, **values: object) -> None:
+    """Refuse arguments of another type.
+
+    Parameters
+    ----------
+    kind : type
+    **values
+        Arguments by their names.
+
+    Raises
+    ------
+    MibvhError
+        Naming the first that is none.
+
+    Examples
+    --------
+    >>> expect(int, count=2)
+    """
+    for name, value in values.items():
+        if not isinstance(value, kind):
+            raise MibvhError(f"{name} must be a {kind.__name__}, not a {type(value).__name__}")
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Guess a misspelt name, to stand in a message; empty where none is near.
 

@@ -32,6 +32,7 @@ __all__ = [
     "mitsuba_geometry",
     "mitsuba_mesh",
     "mitsuba_reason",
+    "scene_name",
     "shape_key",
     "shape_kind",
     "with_defines",
@@ -160,6 +161,26 @@ def load(source: Any, defines: dict[str, Any] | None = None) -> Scene:
         )
     triangles, notes = read_mesh(path)
     return _with_viewpoints(Scene(triangles.name, triangles, [], None, notes))
+
+
+def scene_name(source: Any) -> str:
+    """Return the name that a scene has when it is loaded, without loading it.
+
+    Parameters
+    ----------
+    source : Scene, or path as for :func:`load`
+
+    Raises
+    ------
+    MibvhError
+        If there is no such file.
+    """
+    if isinstance(source, Scene):
+        return source.name
+    path, defines = find_scene_file(source)
+    if path.suffix.lower() == ".xml":
+        return with_defines(printable(_scene_name(path)), defines)
+    return printable(path.stem)
 
 
 def find_scene_file(source: str | os.PathLike[str]) -> tuple[Path, dict[str, str]]:

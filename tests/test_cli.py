@@ -137,6 +137,77 @@ def test_a_plugin_registers_a_builder(cli, tmp_path):
     assert "mine" in names
 
 
+def test_a_plugin_may_import_its_neighbours(cli, tmp_path):
+    (tmp_path / "the_neighbour.py").write_text("NAME = 'from_next_door'\n")
+    (tmp_path / "house.py").write_text(
+        "import mibvh, numpy as np, the_neighbour\n"
+        "@mibvh.builder(the_neighbour.NAME)\n"
+        "def build(triangles, options, context):\n"
+        "    return np.arange(len(triangles))\n"
+    )
+    code, out, _ = cli("--plugin", tmp_path / "house.py", "builders", "--json")
+    assert code == 0
+    assert "from_next_door" in [b["name"] for b in json.loads(out)["builders"]]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("x = 1\n\nraise KeyError('oak')\n", "line 3: KeyError: 'oak'"),
+        ("x = 1\ndef (:\n", "line 2: SyntaxError: "),
+        ("import mibvh\nmibvh.load('nowhere.ply')\n", "line 2: MibvhError: nowhere.ply"),
+        ("import not_a_module_of_anyone\n", "line 1: ModuleNotFoundError: No module named"),
+    ],
+)
+def test_a_plugin_that_fails_is_one_sentence(cli, tmp_path, text, said):
+    (tmp_path / "failing.py").write_text(text)
+    code, out, err = cli("--plugin", tmp_path / "failing.py", "builders")
+    assert (code, out) == (2, "")
+    assert f"--plugin {tmp_path / 'failing.py'}, {said}" in err
+    assert len(err.splitlines()) == 1
+    assert "failing" not in sys.modules
+
+
+def test_the_version(cli):
+    code, out, _ = cli("--version")
+    assert (code, out) == (0, f"mibvh {mibvh.__version__}\n")
+
+
+def test_the_shell_completes():
+    shown = subprocess.run(
+        [sys.executable, "-m", "mibvh"], capture_output=True, text=True,
+        env={**os.environ, "_PYTHON_MMIBVH_COMPLETE": "complete_bash", "COMP_WORDS": "mibvh comp",
+             "COMP_CWORD": "1", "_TYPER_COMPLETE_ARGS": "mibvh comp"},
+    )  # fmt: skip
+    assert "compare" in shown.stdout.split()
+
+
+def test_a_study_with_trees_and_a_scene_that_is_not_there(cli, tmp_path):
+    """What can be studied is, and the exit code says that something was left out."""
+    scene = mibvh.load("cornell@1000")
+    tree = mibvh.build(scene, "sbvh", max_leaf=2)
+    mibvh.write_tree(tree, tmp_path / "tree.bin")
+    mibvh.diffuse_rays(scene, width=16, height=12, samples=1).save(tmp_path / "rays.npz")
+    code, out, err = cli(
+        "study", "cornell@1000", "absent.ply", "-o", tmp_path / "out", "--builders",
+        "lbvh,hill(start=lbvh,sweeps=2)", "--tree", f"mine={tmp_path / 'tree.bin'},", "--rays",
+        f"{tmp_path / 'rays.npz'},", "--seconds", 0, "--experiments", "prediction", "--json",
+    )  # fmt: skip
+    result = json.loads(out.splitlines()[-1])
+    assert code == 2
+    assert "mibvh: absent.ply was left out: absent.ply: there is no such file" in err
+    assert list(result["left_out"]) == ["absent.ply"]
+    assert [row["builder"] for row in result["trees"]] == [
+        "lbvh", "hill(start=lbvh,sweeps=2)", "mine",
+    ]  # fmt: skip
+    assert result["trees"][2]["sah"] == pytest.approx(mibvh.sah(tree))
+    assert result["trees"][2]["build_seconds"] is None
+    assert result["audit_failures"] == []
+    code, out, _ = cli("report", tmp_path / "out")
+    assert code == 0
+    assert "absent.ply" in (tmp_path / "out" / "report.html").read_text()
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -149,6 +220,9 @@ def test_a_plugin_registers_a_builder(cli, tmp_path):
         (["build", "cornell@3000", "-o", "absent/t.npz"], "absent/t.npz: cannot be written"),
         (["metrics", "cornell@3000", "absent.npz"], "absent.npz: there is no such tree file"),
         (["study", "cornell@3000", "-o", "out", "--profile", "slow"], "--profile is one of"),
+        (["study", "cornell@3000", "-o", "out", "--tree", "t.npz"], "--tree takes NAME=VALUE"),
+        (["study", "cornell@3000", "-o", "out", "--tree", "t=absent.npz"], "absent.npz"),
+        (["study", "cornell@3000", "-o", "out", "--rays", "a.npz,b.npz"], "2 given for 1 scenes"),
         (["report", "absent"], "no finished scene"),
         (["--plugin", "absent.py", "builders"], "no such Python file"),
     ],

@@ -260,9 +260,12 @@ def test_containers_of_dataclasses():
 
 
 def test_builders_given_as_a_text():
-    with pytest.raises(mibvh.MibvhError, match=r"builders takes a tuple of names, such as \('bbvh"):
-        mibvh.StudyOptions(builders="bbvh")
+    assert mibvh.StudyOptions(builders="bbvh").builders == ("bbvh",)
+    both = mibvh.StudyOptions(builders="bbvh, sbvh(bins=8,budget=2)")
+    assert both.builders == ("bbvh", "sbvh(bins=8,budget=2)")
     assert mibvh.StudyOptions(builders=["bbvh"]).builders == ("bbvh",)
+    with pytest.raises(mibvh.MibvhError, match="builders takes names, not 3"):
+        mibvh.StudyOptions(builders=3)
 
 
 def test_a_users_builder_that_splits_triangles_is_seen_to():

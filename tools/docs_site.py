@@ -17,7 +17,18 @@ PAGES = {
     "scenes": ("Scenes and triangles", ["mibvh.scene", "mibvh.loading", "mibvh.triangles"]),
     "trees": (
         "Trees",
-        [f"mibvh.{m}" for m in ("tree", "layouts", "wide_tree", "collapsing", "quantise", "audit")],
+        [
+            f"mibvh.{m}"
+            for m in (
+                "tree",
+                "layouts",
+                "comparison",
+                "wide_tree",
+                "collapsing",
+                "quantise",
+                "audit",
+            )
+        ],
     ),
     "builders": ("Builders", ["mibvh.builders"]),
     "metrics": ("Metrics", ["mibvh.metrics"]),
@@ -41,6 +52,7 @@ MORE = {
         "mibvh.metrics.predictors.registry.Predictor",
         "mibvh.metrics.predictors.registry.add_predictor",
     ],
+    "trees": ["mibvh.comparison.difference_figure"],
     "builders": ["mibvh.builders.plain.plain_sweep"],
     "plot": [
         "mibvh.plot.wireframe.wireframe",

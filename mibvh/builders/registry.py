@@ -12,6 +12,7 @@ import numpy as np
 
 from mibvh.builders.draft import Draft
 from mibvh.builders.finish import finish
+from mibvh.builders.sharing import share, spared
 from mibvh.code import code_digest
 from mibvh.errors import MibvhError, did_you_mean
 from mibvh.measures import Area, Measure
@@ -109,9 +110,7 @@ class Context:
     def start(self, triangles: Any, name: str, options: Options) -> Draft:
         """Build the draft an optimiser starts from, with the optimiser's cost constants."""
         entry = get(name)
-        common = {f.name: getattr(options, f.name) for f in dataclasses.fields(Options)}
-        common["presplit"] = 0.0  # done before the optimiser got the triangles
-        return entry.draft(triangles, entry.options(**common), self)
+        return entry.draft(triangles, entry.start_options(options), self)
 
 
 BuildFunction = Callable[[Any, Any, Context], Any]
@@ -128,8 +127,8 @@ class Builder:
     options : type
         A subclass of :class:`Options`.
     function : callable
-        ``function(triangles, options, context)`` returning a :class:`Draft`, or nested
-        pairs of triangle ids (see :meth:`Draft.from_nested`).
+        ``function(triangles, options, context)`` returning a :class:`Draft`, nested pairs of
+        triangle ids (see :meth:`Draft.from_nested`), or a finished :class:`~mibvh.Tree`.
     version : str or None
         Of a user's builder, if it declares one: a study keeps its trees while this is the same,
         and builds them anew in every run where there is none.
@@ -142,10 +141,36 @@ class Builder:
     function: BuildFunction
     version: str | None = None
 
+    def start_options(self, of: Options) -> Options:
+        """Options for a tree that a builder with these options starts from."""
+        common = {f.name: getattr(of, f.name) for f in dataclasses.fields(Options)}
+        common["presplit"] = 0.0  # done before the optimiser got the triangles
+        return self.options(**common)
+
     def draft(self, triangles: Any, options: Options, context: Context) -> Draft:
-        """Run the builder proper, without the shared finishing."""
+        """Run the builder proper, without the shared finishing.
+
+        Raises
+        ------
+        MibvhError
+            If it returns a finished tree, which has no draft.
+        """
+        found = self.run(triangles, options, context)
+        if isinstance(found, Tree):
+            raise MibvhError(f"builder {self.name} makes finished trees; nothing starts from those")
+        return found
+
+    def run(self, triangles: Any, options: Options, context: Context) -> Draft | Tree:
+        """Return the builder's draft, or the tree of one that finishes its own."""
+        return share(
+            self.name, triangles, options, context, lambda: self._made(triangles, options, context)
+        )
+
+    def _made(self, triangles: Any, options: Options, context: Context) -> Draft | Tree:
         result = self.function(triangles, options, context)
-        return result if isinstance(result, Draft) else Draft.from_nested(result, triangles)
+        if isinstance(result, Draft | Tree):
+            return result
+        return Draft.from_nested(result, triangles)
 
     def code(self) -> str | None:
         """What stands for the builder's code in the key of a kept tree; None if nothing does.
@@ -225,7 +250,8 @@ def builder(
     callable
         Decorator of ``function(triangles, options, context)``, which returns nested pairs of
         triangle ids (:meth:`Draft.from_nested`), or a :class:`Draft` where it splits triangles
-        (:class:`References`) or goes on from another builder's (:meth:`Context.start`).
+        (:class:`References`) or goes on from another builder's (:meth:`Context.start`). A
+        finished :class:`~mibvh.Tree` is kept as it is: no box, leaf or reference is changed.
 
     Examples
     --------
@@ -353,17 +379,19 @@ def build(
     known = {f.name for f in dataclasses.fields(entry.options)}
     if unknown := sorted(set(options) - known):
         raise MibvhError(
-            f"builder {builder} has no option {unknown[0]!r}; it has: {', '.join(sorted(known))}"
+            f"builder {builder} has no option {unknown[0]!r}{did_you_mean(unknown[0], known)}; "
+            f"it has: {', '.join(sorted(known))}"
         )
     chosen = entry.options(**options)
     context = Context(progress or Context.progress, measure or _AREA, source)
     _warm_up(builder, context.progress)
     context.progress("building", 0.0)
-    started = time.perf_counter()
+    started, before = time.perf_counter(), spared()
+    draft: Draft | Tree
     if chosen.presplit > 0:
         draft = _over_parts(entry, triangles, chosen, context)
     else:
-        draft = entry.draft(triangles, chosen, context)
+        draft = entry.run(triangles, chosen, context)
     meta = {
         "builder": builder,
         "options": dataclasses.asdict(chosen),
@@ -371,18 +399,21 @@ def build(
         "digest": triangles.digest,
         "c_inner": chosen.c_inner,
         "c_tri": chosen.c_tri,
-        "report": draft.report,
+        "report": draft.meta.get("report", {}) if isinstance(draft, Tree) else draft.report,
         "mibvh": __version__,
     }
-    tree = finish(
-        draft,
-        c_inner=chosen.c_inner,
-        c_tri=chosen.c_tri,
-        max_leaf=chosen.max_leaf,
-        meta=meta,
-        measure=draft.measure or context.compiled_measure(draft.references.scale),
-    )
-    meta = {**tree.meta, "build_seconds": time.perf_counter() - started}
+    if isinstance(draft, Tree):
+        tree = draft.replace(meta=meta)
+    else:
+        tree = finish(
+            draft,
+            c_inner=chosen.c_inner,
+            c_tri=chosen.c_tri,
+            max_leaf=chosen.max_leaf,
+            meta=meta,
+            measure=draft.measure or context.compiled_measure(draft.references.scale),
+        )
+    meta = {**tree.meta, "build_seconds": time.perf_counter() - started + spared() - before}
     # The tests see to it that the paper's builders make sound trees.
     if builder not in _BUNDLED and (found := tree.validate(triangles)):
         raise MibvhError(f"builder {builder} made no sound tree: {'; '.join(found)}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from mibvh.metrics.registry import Metric, Quantity, Subject
 
 
@@ -9,7 +11,7 @@ def _shape(subject: Subject) -> dict[str, float]:
     stats = subject.tree.stats()
     names = ("references", "nodes", "leaves", "depth", "mean_leaf_size")
     return {name: stats[name] for name in names} | {
-        "build_seconds": subject.tree.meta["build_seconds"]
+        "build_seconds": subject.tree.meta.get("build_seconds", math.nan)
     }
 
 

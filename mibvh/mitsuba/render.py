@@ -28,6 +28,8 @@ from mibvh.variant import mitsuba
 
 #: Samples that one pass takes at most: what keeps memory small and the progress bar moving.
 _PASS = 1 << 21
+#: Samples per pixel where nothing asks for any number.
+_SAMPLES = 16
 Progress = Callable[[str, float], None]
 
 
@@ -38,7 +40,7 @@ def render(
     *,
     parameters: dict[str, Any] | None = None,
     defines: dict[str, str] | None = None,
-    spp: int = 16,
+    spp: int | None = None,
     size: tuple[int, int] | None = None,
     sensor: int = 0,
     seed: int = 0,
@@ -62,8 +64,9 @@ def render(
         Of the integrator.
     defines : dict, optional
         Mitsuba's ``-D``: values for the ``$name`` in the XML file.
-    spp : int
-        Samples per pixel.
+    spp : int, optional
+        Samples per pixel; by default the ``sample_count`` that the scene gives its camera, or 16
+        where it has none of its own.
     size : (int, int), optional
         Width and height in pixels; the scene's by default.
     sensor : int
@@ -94,7 +97,9 @@ def render(
     # Before the work, rather than after it.
     if not Path(output).parent.is_dir():
         raise MibvhError(f"{output}: there is no folder {str(Path(output).parent)!r}")
-    check(spp=spp, sensor=sensor, seed=seed)
+    check(sensor=sensor, seed=seed)
+    if spp is not None:
+        check(spp=spp)
     if size:
         check(width=size[0], height=size[1])
     check_quantities(quantities)
@@ -103,6 +108,8 @@ def render(
     plugin = given if integrator or parameters else _own_integrator(scene) or given
     integrator = integrator or _plugin_name(plugin) or "bvh_path"
     camera = _camera(source, scene, sensor, defines or {})
+    if spp is None:
+        spp = _own_samples(source, camera, scene)
     if size:
         params = mi.traverse(camera)
         params["film.size"] = list(size)
@@ -162,6 +169,13 @@ def _camera(source: str, scene: Any, sensor: int, defines: dict[str, str]) -> An
             f"{source} has {len(sensors)} cameras, numbered from 0; there is no {sensor}"
         )
     return sensors[sensor]
+
+
+def _own_samples(source: str, camera: Any, scene: Any) -> int:
+    """Samples per pixel that a scene file asks for; 16 where the camera is not its own."""
+    path, _ = find_scene_file(source)
+    own = path.suffix.lower() == ".xml" and any(camera == one for one in scene.sensors())
+    return int(camera.sampler().sample_count()) if own else _SAMPLES
 
 
 def _mitsuba_scene(source: str, defines: dict[str, str]) -> Any:

@@ -24,11 +24,13 @@ from typing import Any
 from mibvh.bundled import cache_folder
 from mibvh.errors import MibvhError
 from mibvh.scene import load
+from mibvh.studies.measure.given import Given
 from mibvh.studies.measure.scene import study_scene
 from mibvh.studies.measure.store import Store
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.progress import Listener, Progress
 from mibvh.studies.record.scene import SceneRecord
+from mibvh.studies.sources import Source
 
 #: What a worker offers to be given scenes, and how one is started.
 RESOURCE = "mibvh"
@@ -40,15 +42,19 @@ _SECONDS_WITHOUT_WORKER = 30
 _PROTOCOLS, _DEFAULT_PORT = ("tcp", "tls", "ws", "wss"), 8786
 
 
+class _SceneRefused(MibvhError):
+    """A scene cannot be studied; the others may be."""
+
+
 def study_on_cluster(
-    sources: Sequence[Any], options: StudyOptions, address: str, listener: Listener
-) -> Iterator[SceneRecord]:
+    sources: Sequence[Source], options: StudyOptions, address: str, listener: Listener
+) -> Iterator[SceneRecord | MibvhError]:
     """Study scenes on the workers of a Dask scheduler.
 
     Parameters
     ----------
-    sources : sequence of str or path
-        Names of bundled scenes, or files that the workers see under the same path.
+    sources : sequence of Source
+        Of names of bundled scenes, or files that the workers see under the same path.
     options : StudyOptions
     address : str
         Of the scheduler, such as ``tcp://10.0.0.1:8786``.
@@ -57,16 +63,16 @@ def study_on_cluster(
 
     Yields
     ------
-    SceneRecord
-        One of each scene, in the order of ``sources``.
+    SceneRecord or MibvhError
+        One of each scene, in the order of ``sources``; why a scene could not be studied.
 
     Raises
     ------
     MibvhError
-        If Dask is not installed, no scheduler or fitting worker answers, at first or later on, a
-        scene is no file or name, a scene cannot be studied, or every worker that tried it died.
+        If Dask is not installed, no scheduler or fitting worker answers, at first or later on, or
+        a scene is no file or name.
     """
-    named = [_named(source) for source in sources]
+    named = [_named(source.scene) for source in sources]
     distributed = _distributed()
     _check_address(address)
     with _quiet():
@@ -82,12 +88,15 @@ def study_on_cluster(
             client.subscribe_topic(topic, lambda event: listener(Progress(*event[1])))
             # A key of its own each time: asking again must not bring back an old failure.
             futures = [
-                client.submit(_study_one, name, options, topic, key=f"{name}-{topic}",
-                              resources={RESOURCE: 1})
-                for name in named
+                client.submit(_study_one, name, options, topic, source.given(),
+                              key=f"{name}-{topic}", resources={RESOURCE: 1})
+                for name, source in zip(named, sources, strict=True)
             ]  # fmt: skip
             for name, future in zip(named, futures, strict=True):
-                yield SceneRecord.from_json(_result(client, future, name, address))
+                try:
+                    yield SceneRecord.from_json(_result(client, future, name, address))
+                except _SceneRefused as error:
+                    yield MibvhError(str(error))
         finally:
             client.close(timeout=_SECONDS_TO_CLOSE)
 
@@ -107,7 +116,7 @@ def _result(client: Any, future: Any, name: str, address: str) -> dict[str, Any]
             raise
         except KilledWorker as error:
             last = getattr(error.last_worker, "address", "")
-            raise MibvhError(
+            raise _SceneRefused(
                 f"{name}: every worker that tried this scene died{last and f', at last {last}'}"
             ) from None
         # The scheduler is gone, and the future with it; or the worker has no mibvh, or another.
@@ -195,7 +204,7 @@ def _ours(client: Any) -> dict[str, Any]:
     return {name: w for name, w in workers.items() if RESOURCE in w["resources"]}
 
 
-def _study_one(source: str, options: StudyOptions, topic: str) -> dict[str, Any]:
+def _study_one(source: str, options: StudyOptions, topic: str, given: Given) -> dict[str, Any]:
     """Study one scene, and return its record as JSON-able values; runs on a worker."""
     from distributed import get_worker
 
@@ -206,9 +215,9 @@ def _study_one(source: str, options: StudyOptions, topic: str) -> dict[str, Any]
 
     try:
         with _machine_to_ourselves():
-            return study_scene(load(source), options, _store(), listener).to_json()
+            return study_scene(load(source), options, _store(), listener, given).to_json()
     except MibvhError as error:
-        raise MibvhError(f"on worker {worker.address}: {error}") from None
+        raise _SceneRefused(f"on worker {worker.address}: {error}") from None
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise MibvhError(f"on worker {worker.address}: {source}: {reason}") from error

@@ -10,13 +10,14 @@ import json
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mibvh.builders import names
+from mibvh.builders.chosen import parse_all
 from mibvh.code import code_digest
-from mibvh.errors import MibvhError
+from mibvh.errors import MibvhError, did_you_mean
 from mibvh.files import file_name, write_text
 from mibvh.scene import load
 from mibvh.studies.analyse.depth import depth_table
@@ -25,12 +26,12 @@ from mibvh.studies.analyse.sensitivity import sensitivity_table
 from mibvh.studies.lock import alone_in
 from mibvh.studies.measure.scene import study_scene
 from mibvh.studies.measure.store import Store
-from mibvh.studies.measure.trees import TreeSource
-from mibvh.studies.paper.catalogue import scenes_in, triangle_count_notes
+from mibvh.studies.paper.catalogue import triangle_count_notes
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.progress import Listener, Progress
 from mibvh.studies.record.scene import FORMAT, SceneRecord
-from mibvh.studies.record.serialise import from_json
+from mibvh.studies.record.serialise import from_json, to_json
+from mibvh.studies.sources import Source, checked, study_sources
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,13 +44,14 @@ _FINISHED = "study"
 #: The tables and figures that the last run wrote.
 _WRITTEN = "study-files"
 #: What the names of these look like, relative to the folder.
-_OUTPUT = re.compile(r"(?:tables|figures)/[^/\\]+\.(?:csv|tex|svg|png)")
+_OUTPUT = re.compile(r"(?:tables|figures)/[^/\\]+\.(?:csv|tex|svg|pdf|png)")
 
 
 @dataclasses.dataclass(frozen=True)
 class _Finished:
     scenes: list[str]
     format: int
+    left_out: dict[str, str]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,11 +71,14 @@ class Study:
         One per scene.
     environment : dict
         What it was measured on.
+    left_out : dict of str to str
+        Scenes that could not be studied, and why.
     """
 
     folder: Path
     scenes: list[SceneRecord]
     environment: dict[str, Any]
+    left_out: dict[str, str] = dataclasses.field(default_factory=dict)
 
     @functools.cached_property
     def table(self) -> pd.DataFrame:
@@ -118,9 +123,11 @@ class Study:
 
 
 def study(
-    scenes: Sequence[Any],
+    scenes: Any = (),
     folder: str | os.PathLike[str] = "out",
     *,
+    trees: Mapping[str, Any] | None = None,
+    rays: Any = None,
     options: StudyOptions | None = None,
     progress: Listener | None = None,
     scheduler: str | None = None,
@@ -130,10 +137,20 @@ def study(
 
     Parameters
     ----------
-    scenes : sequence
-        Each a Scene, what :func:`mibvh.load` takes, or a folder of such files.
+    scenes : sequence, or one scene
+        Each a Scene, what :func:`mibvh.load` takes, or a folder of such files. One that cannot be
+        studied is left out, as :attr:`Study.left_out` and the report say.
     folder : path
         Results go here; run again with the same folder to go on after an interruption.
+    trees : mapping of str to trees, optional
+        Finished trees, which are kept as they are, by the names that they get in tables. Of each,
+        a Tree or the file of one for each scene: by the scene's name, ``{"mine": {"cornell":
+        tree}}``, as a sequence in the order of the scenes (None where there is none), or alone
+        for a single scene. Trees are judged by the paper's cost constants, whatever they were
+        built for.
+    rays : optional
+        A RaySet or file of rays (:func:`mibvh.read_rays`) for each scene, in the same ways; traced
+        instead of diffuse rays from the scene's cameras.
     options : StudyOptions, optional
     progress : callable, optional
         Called with a :class:`mibvh.studies.Progress` at every step.
@@ -153,17 +170,21 @@ def study(
         If a scene cannot be loaded, a builder is unknown, an option is out of range, the
         scheduler cannot be used, another study is at work in the folder, or it cannot be written.
     """
-    options = _with_builders(options or StudyOptions(**choices))
-    if not scenes:
-        raise MibvhError("a study needs at least one scene")
-    sources = [part for given in scenes for part in scenes_in(given)]
+    options = _with_builders(options or _options(choices))
+    sources, left_out = study_sources(scenes, trees or {}, rays)
+    if scheduler is None or trees or rays is not None:
+        sources, unreadable = checked(sources, keep=scheduler is None)
+        left_out |= unreadable
+    if not sources:
+        raise MibvhError(next(iter(left_out.values())))
     store = Store(Path(folder) / "cache")
     with alone_in(Path(folder)):
-        return _study(sources, store, options, _listener(progress), scheduler)
+        return _study(sources, left_out, store, options, _listener(progress), scheduler)
 
 
 def _study(
-    sources: Sequence[Any],
+    sources: Sequence[Source],
+    left_out: dict[str, str],
     store: Store,
     options: StudyOptions,
     listener: Listener,
@@ -178,43 +199,49 @@ def _study(
 
         found = study_on_cluster(sources, options, scheduler, listener)
     records: list[SceneRecord] = []
-    for record in found:
-        _refuse_twice(record.scene, [r.scene for r in records])
+    for source, record in zip(sources, found, strict=True):
+        if isinstance(record, MibvhError):
+            left_out[source.name] = str(record)
+            continue
         notes = [*record.notes, *triangle_count_notes(record.scene, record.triangles)]
         records.append(dataclasses.replace(record, notes=notes))
         store.write(_KEPT + file_name(record.scene), records[-1].to_json())
         # The folder may hold scenes of other studies before this one.
-        store.write(_FINISHED, {"scenes": [r.scene for r in records], "format": FORMAT})
-    write_outputs(folder, records)
-    return Study(folder, records, records[-1].environment)
+        store.write(_FINISHED, to_json(_Finished([r.scene for r in records], FORMAT, left_out)))
+    if not records:
+        raise MibvhError(next(iter(left_out.values())))
+    store.write(_FINISHED, to_json(_Finished([r.scene for r in records], FORMAT, left_out)))
+    write_outputs(folder, records, left_out)
+    return Study(folder, records, records[-1].environment, left_out)
+
+
+def _options(choices: dict[str, Any]) -> StudyOptions:
+    """Options of a study by name."""
+    known = [field.name for field in dataclasses.fields(StudyOptions)]
+    for name in choices:
+        if name not in known:
+            raise MibvhError(
+                f"study has no option {name!r}{did_you_mean(name, known)}; it has: "
+                f"{', '.join(known)}"
+            )
+    return StudyOptions(**choices)
 
 
 def _with_builders(options: StudyOptions) -> StudyOptions:
-    """Fill in the builders, and see that each is known and named once."""
-    chosen = options.builders or tuple(names())
-    for name in chosen:
-        TreeSource.parse(name)
-    if len(set(chosen)) < len(chosen):
-        raise MibvhError(f"a builder is named twice: {', '.join(chosen)}")
-    return dataclasses.replace(options, builders=chosen)
+    """Fill in the builders, and see that each is known, its options too, and named once."""
+    chosen = parse_all(options.builders or tuple(names()))
+    return dataclasses.replace(options, builders=tuple(one.name for one in chosen))
 
 
 def _study_here(
-    sources: Sequence[Any], options: StudyOptions, store: Store, listener: Listener
-) -> Iterator[SceneRecord]:
+    sources: Sequence[Source], options: StudyOptions, store: Store, listener: Listener
+) -> Iterator[SceneRecord | MibvhError]:
     """Study the scenes one after the other on this machine."""
-    taken: list[str] = []
     for source in sources:
-        scene = load(source)
-        _refuse_twice(scene.name, taken)
-        taken.append(scene.name)
-        yield study_scene(scene, options, store, listener)
-
-
-def _refuse_twice(name: str, taken: Sequence[str]) -> None:
-    """See that no other scene of the study has this name."""
-    if name in taken:
-        raise MibvhError(f"two scenes are called {name}; rename a file or folder")
+        try:
+            yield study_scene(load(source.scene), options, store, listener, source.given())
+        except MibvhError as error:
+            yield error
 
 
 def _listener(progress: Callable[..., None] | None) -> Listener:
@@ -241,7 +268,9 @@ def _words(step: Progress) -> str:
     return f"{step.stage} {step.builder}" if step.builder else step.stage
 
 
-def write_outputs(folder: Path, records: Sequence[SceneRecord]) -> None:
+def write_outputs(
+    folder: Path, records: Sequence[SceneRecord], left_out: Mapping[str, str] | None = None
+) -> None:
     """Write the tables, the environment and the report of the scenes that are finished.
 
     Tables and figures of an earlier run that are not among those of this one are removed.
@@ -258,8 +287,9 @@ def write_outputs(folder: Path, records: Sequence[SceneRecord]) -> None:
     write_tables(folder, records, found)
     written = write_sheets(folder, [*sheets, *(sheet for scene in of_scenes for sheet in scene)])
     write_text(folder / "environment.json", json.dumps(records[-1].environment, indent=2))
-    write_text(folder / "results.md", "\n".join(sheet.markdown() for sheet in sheets))
-    written += write_report(folder, records, found, sheets, of_scenes)
+    missing = [f"Left out: {name}: {why}\n" for name, why in (left_out or {}).items()]
+    write_text(folder / "results.md", "\n".join([*missing, *(s.markdown() for s in sheets)]))
+    written += write_report(folder, records, found, sheets, of_scenes, left_out or {})
     store = Store(folder / "cache")
     for name in _written_before(store) - set(written):
         with contextlib.suppress(OSError):
@@ -290,7 +320,7 @@ def remake_report(folder: str | os.PathLike[str]) -> Study:
     found = read_study(folder)
     with alone_in(found.folder):
         try:
-            write_outputs(found.folder, found.scenes)
+            write_outputs(found.folder, found.scenes, found.left_out)
         except MibvhError:
             raise
         # The types are right, but not what they tell together: lists of other lengths, a picture
@@ -330,7 +360,7 @@ def read_study(folder: str | os.PathLike[str]) -> Study:
         ) from None
     if not records:
         raise MibvhError(f"{folder}: there is no finished scene of a study in this folder")
-    return Study(Path(folder), records, records[-1].environment)
+    return Study(Path(folder), records, records[-1].environment, listed.left_out)
 
 
 def _read_record(store: Store, name: str) -> SceneRecord:

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from mibvh.errors import MibvhError
+from mibvh.errors import MibvhError, expect
 from mibvh.files import check_columns, read_arrays, write_arrays
 from mibvh.ranges import check
 from mibvh.rays import RaySet
@@ -397,6 +397,8 @@ def trace(
     MibvhError
         If the tree or the rays belong to another geometry, or an argument is out of range.
     """
+    expect(Tree, tree=tree)
+    expect(RaySet, rays=rays)
     triangles = as_triangles(triangles)
     check(repeats=repeats)
     rays.check_matches(triangles)

@@ -62,7 +62,9 @@ def rotation_factors(records: Records) -> pd.DataFrame:
         found = record.result(RotationResult)
         if found is None:
             continue
-        for before, after in zip(record.trees, found.trees, strict=True):
+        given = {tree.builder: tree for tree in record.trees}
+        for after in found.trees:
+            before = given[after.builder]
             there, here = (_costs(tree, weights) for tree in (after, before))
             rows.append(
                 {

@@ -84,8 +84,9 @@ def sensitivity_table(records: Records) -> pd.DataFrame:
 
 def _cases(record: SceneRecord, found: SensitivityResult) -> Iterator[_Case]:
     own = record.sample("counted_cost").values
-    for i, size in enumerate(LEAF_SIZES):
-        trees = [sizes[i].values for sizes in found.leaf_sizes]
+    with_sizes = [sizes for sizes in found.leaf_sizes if sizes]
+    for i, size in enumerate(LEAF_SIZES if with_sizes else ()):
+        trees = [sizes[i].values for sizes in with_sizes]
         values = {name: np.array([t[name] for t in trees], np.float64) for name in trees[0]}
         yield _Case("leaf size", size, "", Sample(values, values["counted_cost"]))
     origins = [

@@ -16,8 +16,9 @@ def _rows(record: SceneRecord) -> Iterator[TidyRow]:
     if found := record.result(RotationResult):
         of = {"experiment": "rotation", "rotation": found.degrees, "digest": found.digest}
         rays = {"scalar": found.timing.rays}
-        for place, tree in enumerate(found.trees):
-            yield TidyRow(place, tree.values, of, rays)
+        places = {tree.builder: place for place, tree in enumerate(record.trees)}
+        for tree in found.trees:
+            yield TidyRow(places[tree.builder], tree.values, of, rays)
         yield TidyRow(0, {"same_hits": found.same_hits}, of, rays)
 
 

@@ -116,10 +116,11 @@ class RayCounter:
         at_starts = point_costs(tree, self.triangles, starts.points, starts.triangle)
         at_ends = point_costs(tree, self.triangles, ends.points, ends.triangle)
         return {
-            "epo_starts": float(at_starts[:, 0].mean()),
+            # Given rays need not tell where they start.
+            "epo_starts": float(at_starts[:, 0].mean()) if len(starts) else float("nan"),
             "epo_starts_error": _standard_error(at_starts[:, 0]),
             "epo_ends": float(at_ends[:, 0].mean()) if len(ends) else 0.0,
-            "point_query": float(at_starts.sum(axis=1).mean()),
+            "point_query": float(at_starts.sum(axis=1).mean()) if len(starts) else float("nan"),
             "hit_share": ends.share,
         }
 

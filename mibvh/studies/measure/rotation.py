@@ -2,29 +2,29 @@
 
 The paper's additional test (slides, "Rotated scenes"): boxes fit worse, so every cost grows, but
 that of rays that begin and end in the scene grows more than SAH says. The stored rays are rotated
-with the triangles, so both frames trace the same paths; all trees are built anew.
+with the triangles, so both frames trace the same paths; all trees are built anew, but for those
+that were given.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
-from mibvh.studies.measure.audit import Auditor
 from mibvh.studies.measure.counts import RayCounter
 from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import key_of
 from mibvh.studies.measure.times import Frame, TreeTimes, time_frames
-from mibvh.studies.measure.trees import TreeSource, study_tree
+from mibvh.studies.measure.trees import study_trees
 from mibvh.studies.measure.warps import WarpRules
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import Result, Timing, TreeRow
 from mibvh.traversal.records import make_records, unit_scale
 from mibvh.traversal.trace import Tracer
-from mibvh.tree import Tree
 from mibvh.triangles import rotation_about
 
 AXIS = (1.0, 1.0, 1.0)
@@ -44,7 +44,8 @@ class RotationResult(Result, experiment="rotation"):
     same_hits : float
         Share of the rays that hit the same triangle in both frames.
     trees : list of TreeRow
-        Without SIMD times, and with ``scalar_ns_before``: the time of the tree of the given
+        Of the builders; given trees are not among them. Without SIMD times, and with
+        ``scalar_ns_before``: the time of the tree of the given
         frame in the same rounds of the stopwatch.
     timing : Timing
     """
@@ -74,16 +75,13 @@ def rotation_experiment(setting: Setting, report: Reporter) -> RotationResult:
     """Build, judge, count and time the trees of the rotated scene."""
     options, store = setting.options, setting.store
     scene, rays = rotated(setting.scene, setting.rays)
+    # A tree that was given cannot be built anew.
+    sources = {name: source for name, source in setting.sources.items() if source.tree is None}
+    if not sources:
+        return _nothing(scene)
     counter = RayCounter(scene, rays, options.cull, WarpRules(**options.warps()))
-    auditor = Auditor(counter)
-    share = 0.6 / len(options.builders)
-    trees: dict[str, Tree] = {}
-    rows: list[TreeRow] = []
-    for i, name in enumerate(options.builders):
-        source, part = TreeSource.parse(name), report.part(share * i, share, name)
-        trees[name], row = study_tree(source, counter, auditor, store, part)
-        rows.append(row)
-    before = Frame(setting.scene, setting.rays, list(setting.trees.values()))
+    trees, rows = study_trees(sources, counter, store, report.part(0.0, 1.1))
+    before = Frame(setting.scene, setting.rays, [setting.trees[name] for name in trees])
     after = Frame(scene, rays, list(trees.values()))
     keys = {
         "before": [tree.digest for tree in before.trees],
@@ -114,6 +112,12 @@ def rotation_experiment(setting: Setting, report: Reporter) -> RotationResult:
         ],
         timing=found.timing,
     )
+
+
+def _nothing(scene: Scene) -> RotationResult:
+    """Return the result where no tree can be built anew."""
+    timing = Timing(rounds=0, complete=False, rays=0, portions=0)
+    return RotationResult(AXIS, DEGREES, scene.triangles.digest, math.nan, [], timing)
 
 
 def _same_hits(before: Frame, after: Frame) -> _SameHits:

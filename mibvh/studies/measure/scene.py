@@ -11,21 +11,20 @@ from mibvh.code import code_digest
 from mibvh.environment import environment
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene
-from mibvh.studies.measure.audit import Auditor
 from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import RayCounter
+from mibvh.studies.measure.given import Given
 from mibvh.studies.measure.looks import scene_digest
 from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import Store, key_of
 from mibvh.studies.measure.times import LANES, TreeTimes, times
-from mibvh.studies.measure.trees import TreeSource, study_tree
+from mibvh.studies.measure.trees import sources_of, study_trees
 from mibvh.studies.measure.warps import WarpRules
 from mibvh.studies.record.experiment import Experiment, chosen
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.progress import Listener, Progress, Reporter
 from mibvh.studies.record.scene import RayFacts, SceneRecord, Timing, TreeRow
-from mibvh.tree import Tree
 from mibvh.variant import give_back_memory
 
 #: What the seconds are spent on, by the first word of the pieces' names.
@@ -52,7 +51,11 @@ class _Picture:
 
 
 def study_scene(
-    scene: Scene, options: StudyOptions, store: Store, listener: Listener
+    scene: Scene,
+    options: StudyOptions,
+    store: Store,
+    listener: Listener,
+    given: Given = Given(),  # noqa: B008 - is never changed
 ) -> SceneRecord:
     """Study one scene.
 
@@ -64,12 +67,14 @@ def study_scene(
     store : Store
     listener : callable
         Told of the progress.
+    given : Given
+        Finished trees and rays that the user brings.
     """
     asked = chosen(options.experiments)
     shares = _shares(asked)
     reporter = Reporter(listener, scene.name)
     store.begin()
-    setting, record = _predict(scene, options, store, reporter.of("", *shares[BASE]))
+    setting, record = _predict(scene, options, store, given, reporter.of("", *shares[BASE]))
     seconds = {_STAGES[kind]: spent for kind, spent in store.spent.items()}
     reused = {_STAGES[kind]: count for kind, count in store.reused.items()}
     results = {}
@@ -87,37 +92,30 @@ def study_scene(
 
 
 def _predict(
-    scene: Scene, options: StudyOptions, store: Store, report: Reporter
+    scene: Scene, options: StudyOptions, store: Store, given: Given, report: Reporter
 ) -> tuple[Setting, SceneRecord]:
     """Make the rays and the trees of a scene, count and time them."""
-    digest, machine = scene.triangles.digest, environment()
-    rays_key = key_of("mibvh.rays.diffuse", digest=digest, cameras=cameras(scene), **options.rays())
+    machine = environment()
     report("rays", 0.0)
-    rays = store.array(RaySet, rays_key, functools.partial(diffuse_rays, scene, **options.rays()))
+    rays = _rays(scene, options, store) if given.rays is None else given.rays
+    sources = sources_of(options.builders, given.trees)
     counter = RayCounter(scene, rays, options.cull, WarpRules(**options.warps()))
-    auditor = Auditor(counter)
-    trees: dict[str, Tree] = {}
-    rows: list[TreeRow] = []
-    share = 0.5 / len(options.builders)
-    for i, name in enumerate(options.builders):
-        part = report.part(0.02 + share * i, share, name)
-        source = TreeSource.parse(name)
-        trees[name], row = study_tree(source, counter, auditor, store, part)
-        rows.append(row)
-    setting = Setting(scene, rays, trees, options, machine, store)
+    trees, rows = study_trees(sources, counter, store, report)
+    own = given.rays is not None
+    setting = Setting(scene, rays, trees, options, machine, store, sources, own_rays=own)
     rows, timing = _time(setting, rows, report)
     picture_key = key_of("mibvh.picture", scene=scene_digest(scene), cameras=cameras(scene))
     picture = kept(store, f"picture-{picture_key}", _Picture, functools.partial(_picture, scene))
     return setting, SceneRecord(
         scene=scene.name,
         triangles=len(scene.triangles),
-        digest=digest,
-        notes=[*scene.notes, *([picture.note] if picture.note else [])],
+        digest=scene.triangles.digest,
+        notes=[*scene.notes, *given.notes(), *([picture.note] if picture.note else [])],
         rays=RayFacts(
             count=len(rays),
             digest=rays.digest,
-            viewpoints=rays.meta["viewpoints"],
-            seed=rays.meta["seed"],
+            viewpoints=rays.meta.get("viewpoints", len(set(rays.viewpoint.tolist()))),
+            seed=rays.meta.get("seed", -1),
             meta=rays.meta,
         ),
         timing=timing,
@@ -129,6 +127,17 @@ def _predict(
         reused={},
         code=code_digest(__name__),
     )
+
+
+def _rays(scene: Scene, options: StudyOptions, store: Store) -> RaySet:
+    """Make the diffuse rays of a scene."""
+    key = key_of(
+        "mibvh.rays.diffuse",
+        digest=scene.triangles.digest,
+        cameras=cameras(scene),
+        **options.rays(),
+    )
+    return store.array(RaySet, key, functools.partial(diffuse_rays, scene, **options.rays()))
 
 
 def _time(

@@ -19,7 +19,7 @@ from mibvh.studies.measure.counts import costs_by_origin, counted_costs
 from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import key_of
-from mibvh.studies.measure.trees import TreeSource
+from mibvh.studies.measure.trees import TreeSource, judged_alike
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import OriginCost, Result
 from mibvh.traversal.records import unit_scale
@@ -59,7 +59,7 @@ class SensitivityResult(Result, experiment="sensitivity"):
     Attributes
     ----------
     leaf_sizes : list of list of LeafSize
-        Of each tree one per size.
+        Of each tree one per size; none of trees that were not made by a builder's draft.
     bounces : list of list of OriginCost
         Of each tree the costs of the rays that are deeper than the scene's ray set.
     """
@@ -96,7 +96,7 @@ def sensitivity_experiment(setting: Setting, report: Reporter) -> SensitivityRes
             most=_LEAF_RAYS,
         )
         make = functools.partial(
-            _leaf_sizes, TreeSource.parse(name), setting.scene, setting.rays, options.cull
+            _leaf_sizes, setting.sources[name], setting.scene, setting.rays, options.cull
         )
         leaf_sizes.append(kept(setting.store, f"leaves-{piece}", _Sizes, make).sizes)
     return SensitivityResult(leaf_sizes, _bounces(setting, report.part(0.7, 0.3)))
@@ -104,16 +104,21 @@ def sensitivity_experiment(setting: Setting, report: Reporter) -> SensitivityRes
 
 def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _Sizes:
     """Finish one builder's draft with each leaf size, and judge and count the trees."""
-    triangles, entry = scene.triangles, get(source.builder)
-    options = entry.options()
-    draft = entry.draft(triangles, options, Context())
+    triangles = scene.triangles
+    if source.chosen is None:
+        return _Sizes([])
+    entry = get(source.chosen.builder)
+    options = entry.options(**dict(source.chosen.options))
+    draft = entry.run(triangles, options, Context())
+    if isinstance(draft, Tree):
+        return _Sizes([])
     some = rays.select(slice(None, None, -(-len(rays) // _LEAF_RAYS)))
     tracer = Tracer(some, float(unit_scale(triangles)), cull=cull)
     costs = {"c_inner": options.c_inner, "c_tri": options.c_tri}
     meta = {"triangles": len(triangles), "digest": triangles.digest, **costs}
     sizes = []
     for size in LEAF_SIZES:
-        tree = finish(draft, **costs, max_leaf=size, meta=meta)
+        tree = judged_alike(finish(draft, **costs, max_leaf=size, meta=meta))
         values = {
             "sah": sah(tree),
             "epo": epo(tree, triangles),
@@ -127,6 +132,8 @@ def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _
 def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:
     """Costs of the rays that are deeper than those of the scene's own ray set."""
     scene, trees, options = setting.scene, setting.trees, setting.options
+    if setting.own_rays:
+        return [[] for _ in trees]  # those of the cameras would be of another population
     choices = {**options.rays(), "bounces": max(BOUNCES, options.bounces)}
     key = key_of(
         "mibvh.rays.diffuse",

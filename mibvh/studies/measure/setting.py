@@ -8,6 +8,7 @@ from typing import Any
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
 from mibvh.studies.measure.store import Store
+from mibvh.studies.measure.trees import TreeSource
 from mibvh.studies.record.options import StudyOptions
 from mibvh.tree import Tree
 
@@ -21,11 +22,15 @@ class Setting:
     scene : Scene
     rays : RaySet
     trees : dict of str to Tree
-        By name, in the order of ``options.builders``.
+        By name: those of ``options.builders`` in their order, then those that were given.
     options : StudyOptions
     machine : dict
         What times depend on besides.
     store : Store
+    sources : dict of str to TreeSource
+        Where the trees come from, by the same names.
+    own_rays : bool
+        Whether the rays were given, rather than made from the scene's cameras.
     """
 
     scene: Scene
@@ -34,3 +39,5 @@ class Setting:
     options: StudyOptions
     machine: dict[str, Any]
     store: Store
+    sources: dict[str, TreeSource]
+    own_rays: bool = False

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mibvh.builders import build, get
+from mibvh.builders import Options, build, get
+from mibvh.builders.chosen import Chosen, parse_all
+from mibvh.builders.sharing import shared_drafts
 from mibvh.metrics.registry import Subject, metrics
 from mibvh.studies.measure.audit import Auditor, Checks
 from mibvh.studies.measure.counts import LINES, Counts, RayCounter
@@ -18,8 +22,11 @@ from mibvh.studies.record.scene import TreeRow
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles
 
+#: What all trees of a study are judged by: the paper's constants.
+_COSTS = {"c_inner": Options().c_inner, "c_tri": Options().c_tri}
 
-@dataclasses.dataclass(frozen=True)
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class TreeSource:
     """Where a tree of a study comes from.
 
@@ -27,38 +34,67 @@ class TreeSource:
     ----------
     name : str
         What the tree is called in tables.
-    builder : str
-        The registered builder that makes it.
+    chosen : Chosen or None
+        The registered builder that makes it, with its options.
+    tree : Tree or None
+        A finished tree, which is kept as it is.
     """
 
     name: str
-    builder: str
+    chosen: Chosen | None = None
+    tree: Tree | None = None
 
     @classmethod
-    def parse(cls, text: str) -> TreeSource:
-        """Read a source as the options of a study name it.
+    def of(cls, chosen: Chosen) -> TreeSource:
+        """Return the source that a builder with its options is."""
+        return cls(chosen.name, chosen)
 
-        Raises
-        ------
-        MibvhError
-            If there is no such builder.
-        """
-        return cls(text, get(text).name)
+    def starts(self) -> frozenset[tuple[str, Options]]:
+        """Return the builders of the trees that this one is made from, with their options."""
+        return self.chosen.starts() if self.chosen else frozenset()
 
     def key(self, triangles: Triangles) -> str | None:
-        """Return what its tree of these triangles is kept under; None if it cannot be kept."""
-        code = get(self.builder).code()
-        if code is None:
+        """Return what its tree of these triangles is kept under; None if it is not kept."""
+        if self.chosen is None:
             return None
-        return key_of(digest=triangles.digest, builder=self.builder, of_builder=code)
+        # The builder of the tree that it starts from may be the user's own.
+        made_by = [self.chosen.builder, *sorted(name for name, _ in self.starts())]
+        code = [get(name).code() for name in made_by]
+        if None in code:
+            return None
+        return key_of(
+            digest=triangles.digest,
+            builder=self.chosen.builder,
+            options=dict(self.chosen.options),
+            of_builder=code,
+        )
 
     def make(self, triangles: Triangles, report: Reporter) -> Tree:
         """Build the tree. Stages of a builder are not reported, but that it has to be compiled."""
+        assert self.chosen is not None, "a tree that was given is not built"
 
         def progress(stage: str, done: float) -> None:
             report("compiling" if stage == "compiling" else "build", 0.0)
 
-        return build(triangles, self.builder, progress=progress)
+        options = dict(self.chosen.options)
+        return build(triangles, self.chosen.builder, progress=progress, **options)
+
+
+def sources_of(builders: Sequence[str], trees: Mapping[str, Tree]) -> dict[str, TreeSource]:
+    """Return where the trees of a scene come from, by name: builders first, then given trees."""
+    made = [TreeSource.of(chosen) for chosen in parse_all(builders)]
+    given = [TreeSource(name, tree=tree) for name, tree in trees.items()]
+    return {source.name: source for source in (*made, *given)}
+
+
+def judged_alike(tree: Tree) -> Tree:
+    """Return a tree with the study's cost constants, whatever its builder went by.
+
+    Trees of other constants would have figures in other units than the rest.
+    """
+    if all(tree.meta.get(name) == value for name, value in _COSTS.items()):
+        return tree
+    return tree.replace(meta={**tree.meta, **_COSTS})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,6 +104,33 @@ class TreeFigures:
     values: dict[str, float]
     sah_by_depth: list[float]
     epo_by_depth: list[float]
+
+
+def study_trees(
+    sources: Mapping[str, TreeSource], counter: RayCounter, store: Store, report: Reporter
+) -> tuple[dict[str, Tree], list[TreeRow]]:
+    """Build, judge, count and audit the trees of a scene.
+
+    Trees that others start from are built once.
+
+    Returns
+    -------
+    trees : dict of str to Tree
+    rows : list of TreeRow
+        Without times.
+    """
+    auditor = Auditor(counter)
+    trees: dict[str, Tree] = {}
+    rows: list[TreeRow] = []
+    share = 0.5 / max(len(sources), 1)
+    waiting = [source.starts() for source in sources.values()]
+    with shared_drafts(counter.triangles.digest) as drafts:
+        for i, (name, source) in enumerate(sources.items()):
+            part = report.part(0.02 + share * i, share, name)
+            drafts.want(frozenset().union(*waiting[i:]))
+            trees[name], row = study_tree(source, counter, auditor, store, part)
+            rows.append(row)
+    return trees, rows
 
 
 def study_tree(
@@ -87,8 +150,11 @@ def study_tree(
     """
     triangles = counter.triangles
     key = source.key(triangles)
-    report("cached tree" if store.has(Tree, key) else "build", 0.0)
-    tree = store.array(Tree, key, functools.partial(source.make, triangles, report))
+    report(_first_stage(source, store, key), 0.0)
+    made = source.tree
+    if made is None:
+        made = store.array(Tree, key, functools.partial(source.make, triangles, report))
+    tree = judged_alike(made)
     report("metrics", 0.5)
     judge = functools.partial(judge_tree, tree, triangles)
     # What is computed from the tree goes by its bytes; what its builder said of it is not kept.
@@ -120,17 +186,23 @@ def study_tree(
     audit = functools.partial(auditor, tree, values)
     row = TreeRow(
         builder=source.name,
-        options=tree.meta["options"],
-        values=values | {"build_seconds": tree.meta["build_seconds"]},
+        options=tree.meta.get("options", {}),
+        values=values | {"build_seconds": tree.meta.get("build_seconds", math.nan)},
         sah_by_depth=judged.sah_by_depth,
         epo_by_depth=judged.epo_by_depth,
         cost_groups=counts.cost_groups,
         costs_by_origin=counts.costs_by_origin,
         leaf_distribution=counts.leaf_distribution,
-        build_report=tree.meta["report"],
+        build_report=tree.meta.get("report", {}),
         audit=kept(store, f"audit-{audit_key}", Checks, audit).checks,
     )
     return tree, row
+
+
+def _first_stage(source: TreeSource, store: Store, key: str | None) -> str:
+    if source.tree is not None:
+        return "given tree"
+    return "cached tree" if store.has(Tree, key) else "build"
 
 
 def judge_tree(tree: Tree, triangles: Triangles) -> TreeFigures:

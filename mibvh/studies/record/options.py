@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Any
 
-from mibvh.errors import MibvhError
+from mibvh.builders.chosen import split
+from mibvh.errors import MibvhError, did_you_mean
 from mibvh.ranges import check
 
 #: The registered experiments, and what each adds; see :mod:`mibvh.studies.record.experiment`.
@@ -19,9 +21,11 @@ class StudyOptions:
     Attributes
     ----------
     builders : tuple of str
-        Empty for all that are registered.
+        Names, with options in parentheses where they are not the defaults, such as
+        ``sbvh(budget=2)`` (see :mod:`mibvh.builders.chosen`); or one text of them, separated by
+        commas. Empty for all that are registered.
     experiments : tuple of str
-        From :data:`EXPERIMENTS`; ``("all",)`` for all of them.
+        From :data:`EXPERIMENTS`, or one text of them; ``("all",)`` for all of them.
     width, height, samples, bounces, viewpoints, seed
         As for :func:`mibvh.diffuse_rays`; ``viewpoints`` 0 means all of a scene.
     scalar_rays : int
@@ -61,14 +65,15 @@ class StudyOptions:
             check(viewpoints=self.viewpoints)
         self._check_warps()
         for name in ("builders", "experiments"):
-            if isinstance(given := getattr(self, name), str):
-                raise MibvhError(f"{name} takes a tuple of names, such as ({given!r},), not a text")
-            object.__setattr__(self, name, tuple(given))
+            given = getattr(self, name)
+            names = split(given) if isinstance(given, str) else _names(name, given)
+            object.__setattr__(self, name, names)
         if self.experiments == ("all",):
             object.__setattr__(self, "experiments", tuple(EXPERIMENTS))
         if unknown := sorted(set(self.experiments) - set(EXPERIMENTS)):
             raise MibvhError(
-                f"there is no experiment {unknown[0]!r}; there are: {', '.join(EXPERIMENTS)}"
+                f"there is no experiment {unknown[0]!r}{did_you_mean(unknown[0], EXPERIMENTS)}; "
+                f"there are: {', '.join(EXPERIMENTS)}"
             )
 
     def _check_warps(self) -> None:
@@ -90,6 +95,13 @@ class StudyOptions:
         names = ("seconds", "standard_error", "cull")
         chosen = (*names, *(("scalar_rays",) if lanes == "scalar" else ()))
         return {"by": "portions", **{n: getattr(self, n) for n in chosen}}
+
+
+def _names(option: str, given: Any) -> tuple[str, ...]:
+    """A tuple of names, of any sequence of them."""
+    if not isinstance(given, Iterable) or not all(isinstance(name, str) for name in given):
+        raise MibvhError(f"{option} takes names, not {given!r}")
+    return tuple(given)
 
 
 #: ``quick`` for a first look and for tests, ``paper`` for figures to be cited.

@@ -6,7 +6,7 @@ import base64
 import functools
 import io
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from mibvh.files import atomic_path, file_name, make_folder, write_text
 from mibvh.metrics.predictors import predictors
 from mibvh.studies.analyse.correlations import overview, worst_error
 from mibvh.studies.analyse.rotation import rotation_factors
+from mibvh.studies.analyse.sweep import sweeps
 from mibvh.studies.measure.depth import DepthResult
 from mibvh.studies.record.quantities import quantities, targets
 from mibvh.studies.record.scene import Records, SceneRecord
@@ -58,8 +59,9 @@ def write_report(
     found: pd.DataFrame,
     sheets: list[Sheet],
     of_scenes: list[list[Sheet]],
+    left_out: Mapping[str, str],
 ) -> list[str]:
-    """Write ``report.html``, and each figure as SVG and PNG under ``figures/``.
+    """Write ``report.html``, and each figure as SVG, PDF and PNG under ``figures/``.
 
     Parameters
     ----------
@@ -71,6 +73,8 @@ def write_report(
         Over the scenes; see :func:`mibvh.studies.report.tables.answers`.
     of_scenes : list of list of Sheet
         Of each scene; see :func:`mibvh.studies.report.tables.scene_answers`.
+    left_out : mapping of str to str
+        Scenes that could not be studied, and why.
 
     Returns
     -------
@@ -82,6 +86,7 @@ def write_report(
     factors = rotation_factors(records)
     page = _template().render(
         builders=_builders(records),
+        left_out=left_out,
         sections=[
             (title, list(group)) for title, group in itertools.groupby(sheets, lambda s: s.section)
         ],
@@ -112,21 +117,20 @@ class _Draw:
     def __call__(self, name: str, figure: Any) -> list[str]:
         """Write a figure. Returns the SVG of each of its panels, to stand in the page."""
         drawn = plots.svg(figure)
-        files = [f"figures/{file_name(name)}.{kind}" for kind in ("svg", "png")]
+        files = [f"figures/{file_name(name)}.{kind}" for kind in ("svg", "pdf", "png")]
         write_text(self._folder / files[0], drawn.replace("currentColor", "#222"))
-        with atomic_path(self._folder / files[1]) as path:
-            path.write_bytes(plots.png(figure))
+        for file, data in ((files[1], plots.pdf(figure)), (files[2], plots.png(figure))):
+            with atomic_path(self._folder / file) as path:
+                path.write_bytes(data)
         self.written += files
         return plots.panels(drawn)
 
 
 def _builders(records: Records) -> list[dict[str, str]]:
-    """Name and colour of each builder, in the order of the scene that has most."""
-    most = max(records, key=lambda record: len(record.trees))
-    return [
-        {"name": tree.builder, "colour": plots.builder_colour(i)}
-        for i, tree in enumerate(most.trees)
-    ]
+    """Name and colour of each builder; those of the scene that has most come first."""
+    by_size = sorted(records, key=lambda record: -len(record.trees))
+    names = dict.fromkeys(tree.builder for record in by_size for tree in record.trees)
+    return [{"name": name, "colour": plots.builder_colour(i)} for i, name in enumerate(names)]
 
 
 def _scene(
@@ -157,6 +161,9 @@ def _figures(record: SceneRecord) -> Iterator[tuple[str, str, Any]]:
     yield "depth", _CAPTIONS["depth"], plots.by_depth(record)
     if depth := record.result(DepthResult):
         yield "remaining", _CAPTIONS["remaining"], plots.remaining(record, depth)
+    for sweep in sweeps(record):
+        name = f"sweep-{sweep.builder}-{sweep.option}"
+        yield name, f"{sweep.name}: cost against {sweep.option}.", plots.swept(sweep)
 
 
 def _overall(found: pd.DataFrame) -> list[tuple[str, ...]]:

@@ -23,6 +23,7 @@ from mibvh.metrics.registry import Quantity
 from mibvh.plot.marks import STYLE, builder_colour, depth_curves, literal, named_points
 from mibvh.studies.analyse.correlations import predicted
 from mibvh.studies.analyse.rotation import headings
+from mibvh.studies.analyse.sweep import Sweep
 from mibvh.studies.measure.depth import DepthResult
 from mibvh.studies.record.quantities import quantities, targets
 from mibvh.studies.record.scene import SceneRecord
@@ -142,6 +143,14 @@ def panels(text: str) -> list[str]:
         root.set("viewBox", f"{i * part:g} 0 {part:g} {height - strip:g}")
         found.append(ElementTree.tostring(root, encoding="unicode"))
     return found
+
+
+def pdf(figure: Figure) -> bytes:
+    """Return a figure as PDF, for papers; without a background."""
+    buffer = io.BytesIO()
+    with style():
+        figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
+    return buffer.getvalue()
 
 
 def png(figure: Figure) -> bytes:
@@ -267,6 +276,31 @@ def rotation(factors: pd.DataFrame) -> Figure:
                               gid=f"{_tip(builder)}{tip}")  # fmt: skip
             title = titles[name]
             _name(axis, title, "predicted factor", "factor of counted cost")
+    return figure
+
+
+def swept(sweep: Sweep) -> Figure:
+    """Cost of a builder's trees against one of its options.
+
+    Parameters
+    ----------
+    sweep : Sweep
+    """
+    known = quantities()
+    with style():
+        figure, axes = _figure(2)
+        for axis, names in zip(axes, (("counted_cost",), ("sah", "epo")), strict=True):
+            for i, name in enumerate(names):
+                values = sweep.column(name)
+                heading = known[name].heading
+                axis.plot(sweep.values, values, color=builder_colour(i), lw=1.2, label=heading)
+                for x, y, tree in zip(sweep.values, values, sweep.trees, strict=True):
+                    tip = f"{tree.builder}: {heading} {y:.4g}"
+                    axis.plot([x], [y], "o", ms=4.5, color=builder_colour(i), mec="none",
+                              gid=f"{_TIP}{tree.builder}|{tip}")  # fmt: skip
+            if len(names) > 1:
+                axis.legend(fontsize=7.5)
+            _name(axis, " and ".join(known[n].heading for n in names), sweep.option, "cost")
     return figure
 
 

@@ -71,7 +71,9 @@ def _rows(
 ) -> Iterator[dict[str, Any]]:
     """Yield a row of the file for each declared quantity."""
     tree, of = record.trees[tidy.place], dict(tidy.of)
-    max_leaf = of.pop("max_leaf", tree.options["max_leaf"])
+    # Trees of other programs have no options.
+    max_leaf = of.pop("max_leaf", tree.options.get("max_leaf", -1))
+    options = {**tree.options, "max_leaf": max_leaf} if tree.options else {}
     common = _common(record)
     rays = {**_rays(record), **tidy.rays}
     for quantity in known.values():
@@ -79,7 +81,7 @@ def _rows(
             yield {
                 **common,
                 "builder": tree.builder,
-                "builder_options": json.dumps({**tree.options, "max_leaf": max_leaf}),
+                "builder_options": json.dumps(options),
                 "rays": rays[quantity.rays] if quantity.rays else 0,
                 **_USUAL,
                 "max_leaf": max_leaf,

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import pandas as pd
 
+from mibvh.builders.chosen import builder_of
 from mibvh.studies.analyse.builders import relative_to, relative_to_best, splitting_builders
 from mibvh.studies.analyse.depth import remaining_relative
 from mibvh.studies.measure.depth import DepthResult
@@ -92,7 +93,7 @@ def depth_claims(records: Records, found: pd.DataFrame) -> Iterator[Claim]:
     """Judge the claim on the worst case that remains as a tree goes down."""
     remaining = remaining_relative(records)
     splitting = splitting_builders(records)
-    others = [b for b in remaining.index if b != "bbvh" and b not in splitting]
+    others = [b for b in remaining.index if builder_of(b) != "bbvh" and b not in splitting]
     # Splits that every builder's trees have in some scene.
     shown = [
         n for n in (1, 7, 63) if n in remaining.columns and others and remaining[n].notna().all()

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
+from mibvh.builders.chosen import builder_of
 from mibvh.studies.analyse.builders import relative_to
 from mibvh.studies.analyse.correlations import SCALAR, SIMD, overview
 from mibvh.studies.analyse.noise import simd_deviation
@@ -52,7 +53,8 @@ def simd_claims(records: Records, found: pd.DataFrame) -> Iterator[Claim]:
 def _lowest(records: Records) -> Claim:
     lcv = relative_to(records, "lcv")
     sweeps = [b for b in TOP_DOWN if b in lcv.index]
-    others = lcv.drop(sweeps)
+    # The same builders with other options are no other methods.
+    others = lcv.drop([b for b in lcv.index if builder_of(b) in TOP_DOWN])
     enough = bool(sweeps) and len(others) > 0
     return Claim(
         topic=_TOPIC,

@@ -43,9 +43,11 @@ def _stopwatch(records: Records) -> Sheet:
             row[f"{lanes.key}_error"] = worst_error([record], lanes.error)
             row[f"{lanes.key}_twice"] = timing.repeat_difference
             row[f"{lanes.key}_clock"] = timing.clock if timing.portions else "none: too few rays"
-        if rotation := record.result(RotationResult):
-            again = [tree["scalar_ns_before"] for tree in rotation.trees]
-            row["again"] = float(np.mean(again / record.column(SCALAR.ns))) - 1
+        rotation = record.result(RotationResult)
+        if rotation and rotation.trees:
+            first = {tree.builder: tree[SCALAR.ns] for tree in record.trees}
+            again = [t["scalar_ns_before"] / first[t.builder] for t in rotation.trees]
+            row["again"] = float(np.mean(again)) - 1
         rows.append(row)
     frame = pd.DataFrame(rows)
     columns = [Column("scene")]
