@@ -51,6 +51,28 @@ def test_a_users_builder_is_run_again_unless_it_declares_a_version(tmp_path, hal
     assert len(calls) == 4
 
 
+def test_a_users_metric_is_computed_in_every_run(tmp_path):
+    from mibvh.metrics import registry as metrics
+    from mibvh.metrics.registry import Metric, Quantity, add_metric
+
+    def leaves_and(more):
+        return Metric(
+            name="mine",
+            quantities=(Quantity(name="leaves_and_more", unit="count"),),
+            compute=lambda subject: {"leaves_and_more": subject.tree.is_leaf.sum() + more},
+        )
+
+    run(tmp_path, "bbvh", "lbvh")
+    try:
+        add_metric(leaves_and(0))
+        first = run(tmp_path, "bbvh", "lbvh").table["leaves_and_more"]
+        add_metric(leaves_and(100))
+        second = run(tmp_path, "bbvh", "lbvh").table["leaves_and_more"]
+    finally:
+        metrics._added.pop("mine")
+    assert (second - first).tolist() == [100, 100]
+
+
 def test_everything_is_made_anew_by_other_code(tmp_path, monkeypatch):
     run(tmp_path, "bbvh", "lbvh")
     again = run(tmp_path, "bbvh", "lbvh")

@@ -144,7 +144,7 @@ def check_mitsuba(scene: Any, rays: RaySet, hits: Hits, seed: int = 0) -> Check:
     )
     return Check.of(
         "mitsuba", float(wrong.sum()), 0.0, 0.0,
-        f"wrong hits among the {len(differ)} of {len(chosen):,} rays that Mitsuba has elsewhere",
+        f"wrong ones of the {len(differ)} of {len(chosen):,} hits that are elsewhere in Mitsuba",
     )  # fmt: skip
 
 

@@ -149,7 +149,16 @@ def add_metric(metric: Metric) -> Metric:
     return metric
 
 
+def bundled_metrics() -> tuple[Metric, ...]:
+    """Return the metrics of this package."""
+    return tuple(importlib.import_module(name).METRIC for name in _BUNDLED)
+
+
+def added_metrics() -> tuple[Metric, ...]:
+    """Return the user's own metrics, in the order they were added."""
+    return tuple(_added.values())
+
+
 def metrics() -> tuple[Metric, ...]:
-    """Return all metrics: the bundled ones, then the user's own in the order they were added."""
-    bundled = (importlib.import_module(name).METRIC for name in _BUNDLED)
-    return (*bundled, *_added.values())
+    """Return all metrics: the bundled ones, then the user's own."""
+    return (*bundled_metrics(), *added_metrics())

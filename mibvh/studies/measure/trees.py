@@ -12,7 +12,7 @@ import numpy as np
 from mibvh.builders import Options, build, get
 from mibvh.builders.chosen import Chosen, parse_all
 from mibvh.builders.sharing import shared_drafts
-from mibvh.metrics.registry import Subject, metrics
+from mibvh.metrics.registry import Subject, added_metrics, bundled_metrics
 from mibvh.studies.measure.audit import Auditor, Checks
 from mibvh.studies.measure.counts import LINES, Counts, RayCounter
 from mibvh.studies.measure.pieces import kept
@@ -173,6 +173,9 @@ def study_tree(
     counts = kept(store, f"counts-{counts_key}", Counts, count)
     report("warps", 0.9)
     values = {**judged.values, **counts.values, **counter.warps.kept(tree, store)}
+    # Nothing tells whether the code of a user's own metrics is still the same: they are not kept.
+    for metric in added_metrics():
+        values |= metric(Subject(tree, triangles))
     report("audit", 0.95)
     audited = {name: values[name] for name in ("sah", "epo", "counted_cost", "warp_scalar_cost")}
     audit_key = key_of(
@@ -206,11 +209,11 @@ def _first_stage(source: TreeSource, store: Store, key: str | None) -> str:
 
 
 def judge_tree(tree: Tree, triangles: Triangles) -> TreeFigures:
-    """Compute all registered metrics of a tree, and SAH and EPO by depth."""
+    """Compute this package's metrics of a tree, and SAH and EPO by depth."""
     subject = Subject(tree, triangles)
     levels = tree.depth + 1
     values: dict[str, float] = {}
-    for metric in metrics():
+    for metric in bundled_metrics():
         values |= metric(subject)
     return TreeFigures(
         values=values,
