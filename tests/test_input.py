@@ -60,6 +60,11 @@ def test_both_ends_of_every_range(name):
         (("study", "cornell@1000", "-o", "out", "--seconds", "nan"), "seconds must be a number"),
         (("study", "cornell@1000", "-o", "out", "--seconds", "-1"), "seconds must be a number"),
         (("study", "cornell@1000", "-o", "out", "--seed", "-1"), "seed must be a whole number"),
+        (("study", "cornell@900", "-o", "o", "--warp-width", "3"), "warp width must be one of"),
+        (
+            ("study", "cornell@900", "-o", "o", "--warp-style", "oak"),
+            "warp style must be one of",
+        ),
         (("study", "cornell@1000", "-o", "out", "--samples", "0"), "samples must be a whole"),
         (("study", "cornell@1000", "-o", "out", "--samples", 10**9), "samples must be a whole"),
         (("rays", "cornell@1000", "-o", "r.npz", "--width", "100000"), "width must be a whole"),

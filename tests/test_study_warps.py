@@ -113,9 +113,9 @@ def test_a_part_of_the_rays_is_audited_against_the_kernel(cornell, tmp_path, mon
 
 
 def test_impossible_warps():
-    with pytest.raises(mibvh.MibvhError, match="the width must be one of 1, 2, 4"):
+    with pytest.raises(mibvh.MibvhError, match="the warp width must be one of 1, 2, 4"):
         mibvh.StudyOptions(warp_width=3)
-    with pytest.raises(mibvh.MibvhError, match="the style must be one of single, while-while"):
+    with pytest.raises(mibvh.MibvhError, match="the warp style must be one of single, while-while"):
         mibvh.StudyOptions(warp_style="packet")
 
 
@@ -196,7 +196,7 @@ def test_a_flat_scene_has_no_lcv_and_takes_none_away():
     """Where no ray meets a leaf LCV is zero: that scene says nothing of it, the others do."""
     flat = record("flat")
     for row in flat.trees:
-        row.values |= {"lcv": 0.0, "cost_deviation": 0.0}
+        row.values.update(lcv=0.0, cost_deviation=0.0)
     assert warp_deviation([flat])[["lcv", "spread"]].isna().all(axis=None)
     assert np.isnan(deviation_by_scene([flat])["r_lcv"].item())
     assert explained([flat, record("one")]) == explained([record("one")])

@@ -302,13 +302,15 @@ def check_rules(width: int, style: str) -> None:
         If the width is none of :data:`WIDTHS`, or the style none of :data:`STYLES`.
     """
     if width not in WIDTHS:
-        raise MibvhError(f"the width must be one of {', '.join(map(str, WIDTHS))}, not {width}")
+        raise MibvhError(
+            f"the warp width must be one of {', '.join(map(str, WIDTHS))}, not {width}"
+        )
     _rules(style, None)
 
 
 def _rules(style: str, vote: bool | None) -> WarpStyle:
     if style not in STYLES:
-        raise MibvhError(f"the style must be one of {', '.join(STYLES)}, not {style!r}")
+        raise MibvhError(f"the warp style must be one of {', '.join(STYLES)}, not {style!r}")
     rules = STYLES[style]
     if vote is None or vote == rules.vote:
         return rules
