@@ -13,12 +13,13 @@ class MibvhError(ValueError):
     """
 
 
-def expect(kind: type, **values: object) -> None:
+def expect(kind: type | tuple[type, ...], **values: object) -> None:
     """Refuse arguments of another type.
 
     Parameters
     ----------
-    kind : type
+    kind : type or tuple of type
+        Any of them will do; the first is the one named.
     **values
         Arguments by their names.
 
@@ -33,7 +34,8 @@ def expect(kind: type, **values: object) -> None:
     """
     for name, value in values.items():
         if not isinstance(value, kind):
-            raise MibvhError(f"{name} must be a {kind.__name__}, not a {type(value).__name__}")
+            wanted = kind[0] if isinstance(kind, tuple) else kind
+            raise MibvhError(f"{name} must be a {wanted.__name__}, not a {type(value).__name__}")
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

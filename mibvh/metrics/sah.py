@@ -36,7 +36,7 @@ def node_costs(
     -------
     (M,) float64
     """
-    expect(Tree, tree=tree)
+    expect((Tree, WideTree), tree=tree)
     tree.check()
     inner = tree.meta.get("c_inner", 1.2) if c_inner is None else c_inner
     tri = tree.meta.get("c_tri", 1.0) if c_tri is None else c_tri
@@ -64,7 +64,7 @@ def sah_per_node(
     (M,) float64
         Where the root has no area at all, every ratio of areas is taken as 1.
     """
-    expect(Tree, tree=tree)
+    expect((Tree, WideTree), tree=tree)
     areas = tree.half_areas
     ratio = areas / areas[0] if areas[0] > 0 else np.ones_like(areas)
     return node_costs(tree, c_inner, c_tri) * ratio

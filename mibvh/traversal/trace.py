@@ -397,7 +397,7 @@ def trace(
     MibvhError
         If the tree or the rays belong to another geometry, or an argument is out of range.
     """
-    expect(Tree, tree=tree)
+    expect((Tree, WideTree), tree=tree)
     expect(RaySet, rays=rays)
     triangles = as_triangles(triangles)
     check(repeats=repeats)

@@ -15,7 +15,7 @@ from mibvh.files import atomic_path
 from mibvh.metrics.registry import Quantity
 
 #: Rows that a page shows unfolded.
-_LONG = 15
+_LONG = 18
 #: What stands where there is no value.
 _NONE = "–"
 #: What LaTeX takes for commands, and letters and signs that it does not know by themselves.
