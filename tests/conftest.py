@@ -57,6 +57,17 @@ def _short_launches() -> Iterator[None]:
     times.SHORTEST = saved
 
 
+@pytest.fixture(autouse=True)
+def _builders_of_a_test() -> Iterator[None]:
+    """Builders that a test registers are gone after it."""
+    from mibvh.builders import registry
+
+    saved = set(registry._registered)
+    yield
+    for name in set(registry._registered) - saved - set({**registry._BUNDLED, **registry._LATER}):
+        del registry._registered[name]
+
+
 def soup(count: int, seed: int = 0, size: float = 0.1) -> mibvh.Triangles:
     """Random triangles in a box: anisotropic, of mixed size, overlapping."""
     rng = np.random.default_rng(seed)
