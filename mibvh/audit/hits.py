@@ -164,13 +164,3 @@ def check_same_hits(
         name, float(wrong.sum()), 0.0, 0.0,
         f"wrong hits among the {len(differ):,} of {len(rays):,} rays that differ",
     )  # fmt: skip
-
-
-def check_same_counts(hits: Hits, others: Hits, name: str) -> Check:
-    """Hold what one launch counted against another: inner nodes, leaves and triangles of a ray."""
-    differ = np.zeros(len(hits), bool)
-    for column in ("inner", "leaves", "tests"):
-        differ |= getattr(hits, column) != getattr(others, column)
-    return Check.of(
-        name, float(differ.sum()), 0.0, 0.0, f"rays of {len(hits):,} whose counts differ"
-    )

@@ -207,7 +207,8 @@ def costs_by_origin(rays: RaySet, costs: F64) -> list[OriginCost]:
 def counted_costs(tracer: Tracer, tree: Tree, triangles: Triangles) -> F64:
     """(R,) float64: what each ray costs by the counters; nothing is timed."""
     outputs, _ = tracer.run(make_records(tree, triangles), count=True)
-    inner, tests = (tracer.fetch(outputs[i]).astype(np.float64) for i in (2, 4))
+    counted = (outputs.inner, outputs.tests)
+    inner, tests = (tracer.fetch(column).astype(np.float64) for column in counted)
     return np.asarray(tree.meta["c_inner"] * inner + tree.meta["c_tri"] * tests)
 
 

@@ -126,5 +126,5 @@ def _same_hits(before: Frame, after: Frame) -> _SameHits:
     for frame in (before, after):
         tracer = Tracer(frame.rays, float(unit_scale(frame.scene.triangles)))
         outputs, _ = tracer.run(make_records(frame.trees[0], frame.scene.triangles))
-        hits.append(tracer.fetch(outputs[1]))
+        hits.append(tracer.fetch(outputs.triangle))
     return _SameHits(float((hits[0] == hits[1]).mean()))
