@@ -12,7 +12,7 @@ import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -196,6 +196,61 @@ def read_arrays(
     if key is not None and header.get("key") != key:
         raise MibvhError(f"{path}: the {kind} file was made from something else (its key differs)")
     return arrays, header["meta"]
+
+
+class Stored:
+    """A value of arrays and JSON-able metadata that an ``.npz`` file holds."""
+
+    #: The arrays' names, and what the value is called in messages.
+    _ARRAYS: ClassVar[tuple[str, ...]]
+    _KIND: ClassVar[str]
+
+    meta: dict[str, Any]
+
+    def save(self, path: str | os.PathLike[str], key: str | None = None) -> None:
+        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`.
+
+        Parameters
+        ----------
+        path : path
+        key : str, optional
+            What the value was made from, to be asked for by :meth:`load`.
+        """
+        write_arrays(path, self._arrays(), self._header(), kind=self._KIND, key=key)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], key: str | None = None) -> Self:
+        """Read back what :meth:`save` wrote.
+
+        Parameters
+        ----------
+        path : path
+        key : str, optional
+            Refuse a file that was not saved with this key.
+
+        Raises
+        ------
+        MibvhError
+            If the file is missing, of another kind, damaged, holds an invalid value, carries
+            another key, or comes from a newer format.
+        """
+        arrays, header = read_arrays(path, cls._KIND, cls._ARRAYS, key=key)
+        try:
+            return cls._restored(arrays, header)
+        except MibvhError as error:
+            raise MibvhError(f"{path}: {error}") from None
+
+    def _arrays(self) -> dict[str, npt.NDArray[Any]]:
+        return {name: getattr(self, name) for name in self._ARRAYS}
+
+    def _header(self) -> dict[str, Any]:
+        """What the file says beside the arrays."""
+        return self.meta
+
+    @classmethod
+    def _restored(cls, arrays: dict[str, npt.NDArray[Any]], header: dict[str, Any]) -> Self:
+        """Make the value of what the file holds; refuse an invalid one."""
+        return cls(**arrays, meta=header)  # type: ignore[call-arg] # a subclass is a dataclass
 
 
 def check_columns(

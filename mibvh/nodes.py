@@ -10,6 +10,8 @@ from mibvh.triangles import F32, I32
 MAX_DEPTH = 64
 #: Deeper trees are refused altogether: exact EPO takes memory by the square of the depth.
 DEEPEST = 1024
+#: Children that a node has at most, by the kind of tree.
+WIDTHS = (2, 4, 8)
 
 
 class Nodes(Protocol):
@@ -33,3 +35,16 @@ class Nodes(Protocol):
     def depth(self) -> int: ...  # noqa: D102
 
     def __len__(self) -> int: ...
+
+
+class WideNodes(Nodes, Protocol):
+    """What a :class:`mibvh.WideTree` has beside; its docstring says what each array holds."""
+
+    @property
+    def child(self) -> I32: ...  # noqa: D102
+    @property
+    def children(self) -> I32: ...  # noqa: D102
+    @property
+    def width(self) -> int: ...  # noqa: D102
+    @property
+    def quantised(self) -> bool: ...  # noqa: D102

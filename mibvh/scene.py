@@ -93,12 +93,12 @@ class Scene:
         -------
         RaySet
         """
-        from mibvh.rays import diffuse_rays  # which needs scenes
+        import mibvh  # rays are made from scenes: this room does not know how
 
         pixels = max(1.0, count / len(self.sensors))
         height = max(1, round((pixels * 0.75) ** 0.5))
         width = max(1, round(pixels / height))
-        return diffuse_rays(self, width=width, height=height, samples=1, seed=seed)
+        return mibvh.diffuse_rays(self, width=width, height=height, samples=1, seed=seed)
 
 
 def mitsuba_geometry(triangles: Triangles) -> Any:

@@ -5,24 +5,22 @@ from __future__ import annotations
 import dataclasses
 import functools
 import html
-import os
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.files import checksum, read_arrays, write_arrays
+from mibvh.files import checksum
+from mibvh.hierarchy import Hierarchy
 from mibvh.nodes import MAX_DEPTH
-from mibvh.triangles import F32, F64, I32, Triangles
+from mibvh.triangles import F32, I32, Triangles
 
 __all__ = ["MAX_DEPTH", "Tree"]
 
-_ARRAYS = ("lower", "upper", "left", "first", "count", "references")
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Tree:
+class Tree(Hierarchy):
     """A binary bounding volume hierarchy. An immutable value: arrays and a little metadata.
 
     Node 0 is the root; the children of an inner node ``n`` are ``left[n]`` and
@@ -45,6 +43,9 @@ class Tree:
         c_tri, and what the builder reports.
     """
 
+    _ARRAYS = ("lower", "upper", "left", "first", "count", "references")
+    _KIND = "tree"
+
     lower: F32
     upper: F32
     left: I32
@@ -53,20 +54,16 @@ class Tree:
     references: I32
     meta: dict[str, Any] = dataclasses.field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        for name in _ARRAYS:
-            object.__setattr__(self, name, _read_only(getattr(self, name)))
-
     def __len__(self) -> int:
         """Return the number of nodes."""
         return len(self.left)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Through the constructor: copied arrays can be written to, and are not checked.
-        return Tree, (*(getattr(self, name) for name in _ARRAYS), self.meta)
+        return Tree, (*(getattr(self, name) for name in Tree._ARRAYS), self.meta)
 
     def __repr__(self) -> str:
-        if self._faulty:
+        if self._invalid:
             return f"Tree({self._name!r}, invalid)"
         split = f", {len(self.references):,} references" if self.splits_triangles else ""
         return (
@@ -76,7 +73,7 @@ class Tree:
 
     def _repr_html_(self) -> str:
         """A table, for notebooks."""
-        if self._faulty:
+        if self._invalid:
             return html.escape(repr(self))
         facts = {"builder": self._name, **self.stats()}
         rows = "".join(
@@ -91,16 +88,12 @@ class Tree:
         return str(self.meta.get("builder", "tree"))
 
     @property
-    def _faulty(self) -> bool:
+    def _invalid(self) -> bool:
         try:
             self.check()
         except MibvhError:
             return True
         return False
-
-    def replace(self, **changes: Any) -> Tree:
-        """Return a copy with some fields exchanged."""
-        return dataclasses.replace(self, **changes)
 
     # ------------------------------------------------------------ derived arrays
 
@@ -108,13 +101,6 @@ class Tree:
     def is_leaf(self) -> npt.NDArray[np.bool_]:
         """(M,) bool."""
         return self.left < 0
-
-    @functools.cached_property
-    def half_areas(self) -> F64:
-        """(M,) float64: half the surface area of each node's box."""
-        self.check()
-        x, y, z = (self.upper.astype(np.float64) - self.lower).T
-        return x * y + y * z + z * x
 
     @functools.cached_property
     def parents(self) -> I32:
@@ -138,48 +124,16 @@ class Tree:
             level = children
         return depths
 
-    @property
-    def depth(self) -> int:
-        """Edges on the longest path from the root to a leaf."""
-        return int(self.depths.max())
-
-    @property
-    def triangle_count(self) -> int:
-        """Number of triangles, of which each has at least one reference."""
-        return int(self.meta.get("triangles") or len(np.unique(self.references)))
-
-    @property
-    def splits_triangles(self) -> bool:
-        """Whether some triangle has more than one reference."""
-        return len(self.references) > self.triangle_count
-
     @functools.cached_property
     def digest(self) -> str:
         """SHA-256 of the tree and its cost constants: what is computed from it goes by this."""
         costs = {name: self.meta.get(name) for name in ("c_inner", "c_tri")}
-        return checksum({name: getattr(self, name) for name in _ARRAYS}, costs)
-
-    def stats(self) -> dict[str, Any]:
-        """Counts of nodes, leaves and references, leaf sizes, depth and bytes."""
-        self.check()
-        sizes = self.count[self.is_leaf]
-        leaf_depths = self.depths[self.is_leaf]
-        return {
-            "triangles": self.triangle_count,
-            "references": len(self.references),
-            "nodes": len(self),
-            "leaves": len(sizes),
-            "depth": self.depth,
-            "mean_leaf_depth": float(leaf_depths.mean()),
-            "mean_leaf_size": float(sizes.mean()),
-            "max_leaf_size": int(sizes.max()),
-            "bytes": sum(getattr(self, name).nbytes for name in _ARRAYS),
-        }
+        return checksum(self._arrays(), costs)
 
     # ------------------------------------------------------------ invariants
 
     def validate(self, triangles: Triangles | None = None) -> list[str]:
-        """Check every invariant and return the faults found, as sentences.
+        """Check every invariant and return those that are violated, as sentences.
 
         Parameters
         ----------
@@ -192,9 +146,29 @@ class Tree:
         list of str
             Empty for a valid tree.
         """
-        from mibvh.validation import faults
+        from mibvh.validation import violations
 
-        return faults(self, triangles)
+        return violations(self, triangles)
+
+    def check(self) -> None:
+        """Refuse an invalid tree, as far as can be told without its triangles.
+
+        Raises
+        ------
+        MibvhError
+            With the first violation.
+        """
+        from mibvh.validation import meta_violations, structure_violations
+
+        self._refuse(meta_violations(self.meta))
+        if "structure" not in self._sound:
+            self._refuse(structure_violations(self))
+            self._sound.add("structure")
+
+    def _geometry_violations(self, triangles: Triangles) -> list[str]:
+        from mibvh.validation import geometry_violations
+
+        return geometry_violations(self, triangles)
 
     # ------------------------------------------------------------ trees of other programs
 
@@ -243,8 +217,8 @@ class Tree:
         Raises
         ------
         MibvhError
-            If it is no tree, a leaf is empty or shares its references, or with the first fault
-            that :meth:`check` finds.
+            If it is no tree, a leaf is empty or shares its references, or with the first
+            violation that :meth:`check` meets.
 
         Examples
         --------
@@ -275,121 +249,9 @@ class Tree:
         self.check()
         return to_arrays(self)
 
-    # ------------------------------------------------------------ files
-
-    def save(self, path: str | os.PathLike[str], key: str | None = None) -> None:
-        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`.
-
-        Parameters
-        ----------
-        path : path
-        key : str, optional
-            What the tree was made from, to be asked for by :meth:`load`.
-        """
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
-        write_arrays(path, arrays, self.meta, kind="tree", key=key)
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str], key: str | None = None) -> Tree:
-        """Read a tree back.
-
-        Parameters
-        ----------
-        path : path
-        key : str, optional
-            Refuse a file that was not saved with this key.
-
-        Raises
-        ------
-        MibvhError
-            If the file is missing, is no tree, is damaged, holds an invalid tree,
-            carries another key, or comes from a newer format.
-        """
-        arrays, meta = read_arrays(path, "tree", _ARRAYS, key=key)
-        tree = cls(**arrays, meta=meta)
-        try:
-            tree.check()
-        except MibvhError as error:
-            raise MibvhError(f"{path}: {error}") from None
-        return tree
-
-    def check_matches(self, triangles: Triangles) -> None:
-        """Refuse triangles that this tree was not built for, and an invalid tree.
-
-        Every function that takes a tree and its triangles comes here first. The arrays are
-        read-only: the check is made once for each geometry.
-
-        Raises
-        ------
-        MibvhError
-            If the recorded digest or number of triangles does not fit, or with the first fault
-            that :meth:`validate` finds.
-        """
-        self.check()
-        self.check_built_for(triangles)
-        if triangles.digest not in self._sound:
-            from mibvh.validation import geometry_faults
-
-            self._refuse(geometry_faults(self, triangles))
-            self._sound.add(triangles.digest)
-
-    def check_built_for(self, triangles: Triangles) -> None:
-        """Refuse triangles that this tree was not built for, by what it says of them.
-
-        Raises
-        ------
-        MibvhError
-            If the recorded digest or number of triangles does not fit.
-        """
-        digest, count = self.meta.get("digest"), self.meta.get("triangles")
-        if (digest or triangles.digest) != triangles.digest or (count or len(triangles)) != len(
-            triangles
-        ):
-            raise MibvhError(
-                f"the tree ({self.meta.get('builder', 'unknown builder')}, "
-                f"{self.meta.get('triangles', '?')} triangles) was built for another geometry "
-                f"than {triangles.name} ({len(triangles)} triangles)"
-            )
-
-    def check(self) -> None:
-        """Refuse an invalid tree, as far as can be told without its triangles.
-
-        Raises
-        ------
-        MibvhError
-            With the first fault found.
-        """
-        from mibvh.validation import meta_faults, structure_faults
-
-        self._refuse(meta_faults(self.meta))
-        if "structure" not in self._sound:
-            self._refuse(structure_faults(self))
-            self._sound.add("structure")
-
-    @functools.cached_property
-    def _sound(self) -> set[str]:
-        """What the arrays were found sound against: "structure", and digests of triangles."""
-        return set()
-
-    def _refuse(self, faults: list[str]) -> None:
-        if faults:
-            raise MibvhError(f"invalid tree: {faults[0]}")
-
 
 def _figure(value: Any) -> str:
     """A number with commas, or with few digits; text as it is."""
     if isinstance(value, float):
         return f"{value:.4g}"
     return f"{value:,}" if isinstance(value, int) else str(value)
-
-
-def _read_only(array: Any) -> npt.NDArray[Any]:
-    """The array if nobody can write to it, or else a copy."""
-    array = np.asarray(array)
-    base: Any = array
-    while isinstance(base, np.ndarray) and not base.flags.writeable:
-        base = base.base
-    if isinstance(base, np.ndarray) or not array.flags.c_contiguous:
-        array = array.copy(order="C")
-        array.flags.writeable = False
-    return array

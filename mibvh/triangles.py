@@ -141,8 +141,9 @@ def as_triangles(triangles: Any) -> Triangles:
     if isinstance(triangles, Triangles):
         return triangles
     if isinstance(triangles, str | os.PathLike):
-        from mibvh.scene import load
+        import mibvh  # which knows who loads scenes: this room does not
 
-        return load(triangles).triangles
+        loaded: Triangles = mibvh.load(triangles).triangles
+        return loaded
     inner = getattr(triangles, "triangles", triangles)
     return inner if isinstance(inner, Triangles) else Triangles(np.asarray(inner))

@@ -21,7 +21,7 @@ _SMALL_LEAF = 32
 #: Cost constants up to this are taken, by builders too.
 _DEAREST = 1e6
 
-#: What :func:`_structure` finds first, by the number that it returns.
+#: The first violation that :func:`_structure` meets, by the number that it returns.
 _STRUCTURE = {
     1: "node {node} has left = {left}: neither -1 nor a child that stands behind it",
     2: "node {node} has left = {left}: its children are not among the {nodes} nodes",
@@ -38,7 +38,7 @@ _STRUCTURE = {
 
 @njit
 def _structure(left, first, count, references):
-    """Return the number of the first fault in :data:`_STRUCTURE`, and its node; 0 if there is none.
+    """Return the number of the first violation in :data:`_STRUCTURE`, and its node; 0 if none.
 
     Parents stand before their children: one pass sees each node after its parent, and there can
     be no cycle.
@@ -155,27 +155,27 @@ def _leaf_boxes(lower, upper, left, first, count, references, corners, times):
     return out, first_out
 
 
-def faults(tree: Nodes, triangles: Triangles | None = None) -> list[str]:
+def violations(tree: Nodes, triangles: Triangles | None = None) -> list[str]:
     """Check a tree; see :meth:`mibvh.tree.Tree.validate`."""
-    found = meta_faults(tree.meta) or structure_faults(tree)
+    found = meta_violations(tree.meta) or structure_violations(tree)
     if found:
         return found
     if tree.depth > MAX_DEPTH:  # all but traversal can do with it
         found.append(f"depth {tree.depth} is beyond the traversal stack of {MAX_DEPTH}")
     if triangles is not None:
-        found += geometry_faults(tree, triangles)
+        found += geometry_violations(tree, triangles)
     return found
 
 
-def structure_faults(tree: Nodes) -> list[str]:
+def structure_violations(tree: Nodes) -> list[str]:
     """Check what can be checked without the triangles."""
-    found = _array_faults(tree)
+    found = _array_violations(tree)
     if found:
         return found
-    fault, n = _structure(tree.left, tree.first, tree.count, tree.references)
-    if fault:
+    violation, n = _structure(tree.left, tree.first, tree.count, tree.references)
+    if violation:
         return [
-            _STRUCTURE[fault].format(
+            _STRUCTURE[violation].format(
                 node=n,
                 left=tree.left[n],
                 first=tree.first[n],
@@ -188,12 +188,12 @@ def structure_faults(tree: Nodes) -> list[str]:
     known = tree.meta.get("triangles")
     if known is None and tree.references.min() < 0:
         return ["a reference is negative"]
-    return (_reference_faults(tree, known) if known is not None else []) + _box_faults(tree)
+    return (_reference_violations(tree, known) if known is not None else []) + _box_violations(tree)
 
 
-def geometry_faults(tree: Nodes, triangles: Triangles) -> list[str]:
+def geometry_violations(tree: Nodes, triangles: Triangles) -> list[str]:
     """Check a tree of valid structure against its triangles."""
-    found = _reference_faults(tree, len(triangles))
+    found = _reference_violations(tree, len(triangles))
     if found:
         return found
     times = np.bincount(tree.references, minlength=len(triangles)).astype(np.int32)
@@ -217,7 +217,7 @@ def geometry_faults(tree: Nodes, triangles: Triangles) -> list[str]:
     return found
 
 
-def meta_faults(meta: Any) -> list[str]:
+def meta_violations(meta: Any) -> list[str]:
     """Check those entries of the metadata that metrics are made with."""
     if not isinstance(meta, Mapping):
         return ["its metadata is no table of names and values"]
@@ -234,7 +234,7 @@ def meta_faults(meta: Any) -> list[str]:
     return []
 
 
-def _array_faults(tree: Nodes) -> list[str]:
+def _array_violations(tree: Nodes) -> list[str]:
     nodes = tree.left.shape[0] if tree.left.ndim else 0
     references = tree.references.shape[0] if tree.references.ndim else 0
     if nodes == 0 or references == 0:
@@ -254,7 +254,7 @@ def _array_faults(tree: Nodes) -> list[str]:
     return found
 
 
-def _reference_faults(tree: Nodes, triangles: int) -> list[str]:
+def _reference_violations(tree: Nodes, triangles: int) -> list[str]:
     if triangles > len(tree.references):  # before memory is taken for that many
         return [
             f"of {triangles} triangles at least {triangles - len(tree.references)} are in no leaf"
@@ -267,7 +267,7 @@ def _reference_faults(tree: Nodes, triangles: int) -> list[str]:
     return [f"{missing} of {triangles} triangles are in no leaf"] if missing else []
 
 
-def _box_faults(tree: Nodes) -> list[str]:
+def _box_violations(tree: Nodes) -> list[str]:
     wrong, n, out, child = _boxes(tree.lower, tree.upper, tree.left, MAX_COORDINATE)
     found = []
     if wrong:

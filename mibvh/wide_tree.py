@@ -4,28 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import os
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
-from mibvh.files import read_arrays, write_arrays
-from mibvh.tree import Tree, _read_only
+from mibvh.hierarchy import Hierarchy
+from mibvh.nodes import WIDTHS
+from mibvh.tree import Tree
 from mibvh.triangles import F32, F64, I32, Triangles
 
-#: Children that a node has at most, by the kind of tree.
-WIDTHS = (2, 4, 8)
+__all__ = ["C_BOX", "WIDTHS", "BinaryView", "WideTree", "as_binary"]
+
 #: Cost of each child box that a node has beyond two, in units of a triangle's. With a node of two
 #: at 1.2, a node of four costs 1.6 and one of eight 2.4.
 C_BOX = 0.2
-_ARRAYS = ("lower", "upper", "child", "children", "first", "count", "references")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class WideTree:
+class WideTree(Hierarchy):
     """A bounding volume hierarchy of two, four or eight children per node. An immutable value.
 
     Node 0 is the root; the children of an inner node ``n`` are the ``children[n]`` nodes from
@@ -55,6 +54,9 @@ class WideTree:
         a node's second.
     """
 
+    _ARRAYS = ("lower", "upper", "child", "children", "first", "count", "references")
+    _KIND = "wide tree"
+
     lower: F32
     upper: F32
     child: I32
@@ -66,17 +68,13 @@ class WideTree:
     quantised: bool = False
     meta: dict[str, Any] = dataclasses.field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        for name in _ARRAYS:
-            object.__setattr__(self, name, _read_only(getattr(self, name)))
-
     def __len__(self) -> int:
         """Return the number of nodes."""
         return len(self.child)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Through the constructor: copied arrays can be written to, and are not checked.
-        arrays = (getattr(self, name) for name in _ARRAYS)
+        arrays = (getattr(self, name) for name in self._ARRAYS)
         return WideTree, (*arrays, self.width, self.quantised, self.meta)
 
     def __repr__(self) -> str:
@@ -85,10 +83,6 @@ class WideTree:
             f"WideTree({self.meta.get('builder', 'of arrays')}, width {self.width}, "
             f"{len(self):,} nodes, {len(self.references):,} references, {boxes})"
         )
-
-    def replace(self, **changes: Any) -> WideTree:
-        """Return a copy with some fields exchanged."""
-        return dataclasses.replace(self, **changes)
 
     # ------------------------------------------------------------ derived arrays
 
@@ -103,13 +97,6 @@ class WideTree:
         return self.child
 
     @functools.cached_property
-    def half_areas(self) -> F64:
-        """(M,) float64: half the surface area of each node's box."""
-        self.check()
-        x, y, z = (self.upper.astype(np.float64) - self.lower).T
-        return x * y + y * z + z * x
-
-    @functools.cached_property
     def parents(self) -> I32:
         """(M,) int32: each node's parent; -1 for the root."""
         self.check()
@@ -120,16 +107,6 @@ class WideTree:
         """(M,) int32: edges from the root."""
         self.check()
         return _depths(self.child, self.children)
-
-    @property
-    def depth(self) -> int:
-        """Edges on the longest path from the root to a leaf."""
-        return int(self.depths.max())
-
-    @property
-    def splits_triangles(self) -> bool:
-        """Whether some triangle has more than one reference."""
-        return len(self.references) > self.meta.get("triangles", len(np.unique(self.references)))
 
     @functools.cached_property
     def binary(self) -> BinaryView:
@@ -147,22 +124,10 @@ class WideTree:
         )
 
     def stats(self) -> dict[str, Any]:
-        """Counts of nodes, leaves and references, children per node, leaf sizes, depth, bytes."""
-        self.check()
-        leaf = self.is_leaf
-        inner = int(len(self) - leaf.sum())
-        return {
-            "triangles": int(self.meta.get("triangles", len(np.unique(self.references)))),
-            "references": len(self.references),
-            "nodes": len(self),
-            "leaves": int(leaf.sum()),
-            "depth": self.depth,
-            "mean_leaf_depth": float(self.depths[leaf].mean()),
-            "mean_leaf_size": float(self.count[leaf].mean()),
-            "max_leaf_size": int(self.count[leaf].max()),
-            "mean_children": float(self.children.sum() / inner) if inner else 0.0,
-            "bytes": sum(getattr(self, name).nbytes for name in _ARRAYS),
-        }
+        """Counts of nodes, leaves and references, leaf sizes, depth, bytes, children per node."""
+        facts = super().stats()
+        inner = facts["nodes"] - facts["leaves"]
+        return {**facts, "mean_children": float(self.children.sum() / inner) if inner else 0.0}
 
     def ordered(self, priority: npt.ArrayLike) -> WideTree:
         """Put every node's children in the order in which any-hit rays are to visit them.
@@ -184,11 +149,8 @@ class WideTree:
             raise MibvhError(f"a priority needs {len(self)} numbers, one per node of the tree")
         place = _ordered(self.child, self.children, wanted)
         # Nodes are exchanged only among siblings: each group of them begins where it did.
-        return self.replace(
-            lower=self.lower[place], upper=self.upper[place], child=self.child[place],
-            children=self.children[place], first=self.first[place], count=self.count[place],
-            meta={**self.meta, "ordered": True},
-        )  # fmt: skip
+        nodes = {name: self._arrays()[name][place] for name in self._ARRAYS[:-1]}
+        return self.replace(**nodes, meta={**self.meta, "ordered": True})
 
     # ------------------------------------------------------------ made of another program's nodes
 
@@ -239,8 +201,12 @@ class WideTree:
                 f"{rows.dtype} {rows.shape}"
             )
         nodes = len(rows)
-        given = {"lower": np.asarray(lower), "upper": np.asarray(upper),
-                 "first": np.asarray(first), "count": np.asarray(count)}  # fmt: skip
+        given = {
+            "lower": np.asarray(lower),
+            "upper": np.asarray(upper),
+            "first": np.asarray(first),
+            "count": np.asarray(count),
+        }
         for name, array in given.items():
             shape = (nodes, 3) if name in ("lower", "upper") else (nodes,)
             if array.shape != shape:
@@ -248,22 +214,31 @@ class WideTree:
         ids = np.asarray(references)
         if not 0 <= root < nodes:
             raise MibvhError(f"the root, {root}, is none of the {nodes} nodes")
-        fault, node, order, child, number, begin, size, taken = _gather(
-            rows.astype(np.int64), given["first"].astype(np.int64),
-            given["count"].astype(np.int64), len(ids), root,
-        )  # fmt: skip
-        if fault:
-            raise MibvhError(f"node {node} {_GATHER[fault]}")
+        violation, node, order, child, number, begin, size, taken = _gather(
+            rows.astype(np.int64),
+            given["first"].astype(np.int64),
+            given["count"].astype(np.int64),
+            len(ids),
+            root,
+        )
+        if violation:
+            raise MibvhError(f"node {node} {_GATHER[violation]}")
         return cls(
-            given["lower"][order].astype(np.float32), given["upper"][order].astype(np.float32),
-            child, number, begin, size, ids[taken].astype(np.int32),
-            min(w for w in WIDTHS if w >= rows.shape[1]), False, dict(meta or {}),
-        )  # fmt: skip
+            given["lower"][order].astype(np.float32),
+            given["upper"][order].astype(np.float32),
+            child,
+            number,
+            begin,
+            size,
+            ids[taken].astype(np.int32),
+            width=min(w for w in WIDTHS if w >= rows.shape[1]),
+            meta=dict(meta or {}),
+        )
 
     # ------------------------------------------------------------ invariants
 
     def validate(self, triangles: Triangles | None = None) -> list[str]:
-        """Check every invariant and return the first fault found, as a sentence.
+        """Check every invariant and return the first that is violated, as a sentence.
 
         Parameters
         ----------
@@ -276,9 +251,9 @@ class WideTree:
         list of str
             Empty for a valid tree.
         """
-        from mibvh.wide_validation import faults
-
-        return faults(self, triangles)
+        if self._violations or triangles is None:
+            return list(self._violations)
+        return self._geometry_violations(triangles)
 
     def check(self) -> None:
         """Refuse arrays that are no valid tree, as far as can be told without its triangles.
@@ -286,83 +261,33 @@ class WideTree:
         Raises
         ------
         MibvhError
-            With the first fault found.
+            With the first violation.
         """
-        self._refuse(self._faults)
+        self._refuse(self._violations)
 
     @functools.cached_property
-    def _faults(self) -> list[str]:
-        return self.validate()
+    def _violations(self) -> list[str]:
+        from mibvh.wide_validation import violations
 
-    @functools.cached_property
-    def _sound(self) -> set[str]:
-        """Digests of the triangles that the tree was found sound against."""
-        return set()
+        return violations(self)
 
-    def _refuse(self, faults: list[str]) -> None:
-        if faults:
-            raise MibvhError(f"invalid wide tree: {faults[0]}")
+    def _geometry_violations(self, triangles: Triangles) -> list[str]:
+        from mibvh.validation import geometry_violations
 
-    def check_matches(self, triangles: Triangles) -> None:
-        """Refuse triangles that this tree was not built for, and an invalid tree.
-
-        Raises
-        ------
-        MibvhError
-            If the recorded digest or number of triangles does not fit, or with the first fault
-            that :meth:`validate` finds.
-        """
-        self.check()
-        digest, count = self.meta.get("digest"), self.meta.get("triangles")
-        if digest not in (None, triangles.digest) or count not in (None, len(triangles)):
-            raise MibvhError(
-                f"the wide tree ({self.meta.get('builder', 'unknown builder')}, "
-                f"{self.meta.get('triangles', '?')} triangles) was built for another geometry "
-                f"than {triangles.name} ({len(triangles)} triangles)"
-            )
-        if triangles.digest not in self._sound:
-            self._refuse(self.validate(triangles))
-            self._sound.add(triangles.digest)
+        return geometry_violations(self, triangles)[:1]
 
     # ------------------------------------------------------------ files
 
-    def save(self, path: str | os.PathLike[str], key: str | None = None) -> None:
-        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`.
-
-        Parameters
-        ----------
-        path : path
-        key : str, optional
-            What the tree was made from, to be asked for by :meth:`load`.
-        """
-        facts = {"width": self.width, "quantised": self.quantised, "tree": self.meta}
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
-        write_arrays(path, arrays, facts, kind="wide tree", key=key)
+    def _header(self) -> dict[str, Any]:
+        return {"width": self.width, "quantised": self.quantised, "tree": self.meta}
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], key: str | None = None) -> WideTree:
-        """Read a wide tree back.
-
-        Parameters
-        ----------
-        path : path
-        key : str, optional
-            Refuse a file that was not saved with this key.
-
-        Raises
-        ------
-        MibvhError
-            If the file is missing, is no wide tree, is damaged, holds an invalid tree,
-            carries another key, or comes from a newer format.
-        """
-        arrays, facts = read_arrays(path, "wide tree", _ARRAYS, key=key)
-        if set(facts) != {"width", "quantised", "tree"}:
-            raise MibvhError(f"{path}: not a wide tree file of mibvh")
-        tree = cls(**arrays, width=facts["width"], quantised=facts["quantised"], meta=facts["tree"])
-        try:
-            tree.check()
-        except MibvhError as error:
-            raise MibvhError(f"{path}: {error}") from None
+    def _restored(cls, arrays: dict[str, npt.NDArray[Any]], header: dict[str, Any]) -> Self:
+        if set(header) != {"width", "quantised", "tree"}:
+            raise MibvhError("not a wide tree file of mibvh")
+        facts: dict[str, Any] = {**arrays, "width": header["width"], "meta": header["tree"]}
+        tree = cls(**facts, quantised=header["quantised"])
+        tree.check()
         return tree
 
 
@@ -484,7 +409,7 @@ def _ordered(child, children, priority):
     return place
 
 
-#: What :func:`_gather` finds wrong with a node, by the number that it returns.
+#: What is wrong with a node, by the number that :func:`_gather` returns.
 _GATHER = {
     1: "has a child that is none of the nodes",
     2: "is reached twice",

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 
 from mibvh._jit import njit
-from mibvh.tree import MAX_DEPTH, Tree
-from mibvh.triangles import MAX_COORDINATE, Triangles
-from mibvh.validation import geometry_faults, meta_faults
-from mibvh.wide_tree import WIDTHS, WideTree
+from mibvh.nodes import MAX_DEPTH, WIDTHS, WideNodes
+from mibvh.triangles import MAX_COORDINATE
+from mibvh.validation import meta_violations
 
-#: What :func:`_first_fault` finds, by the number that it returns; each about one node.
-_FAULTS = {
+#: The violation that :func:`_first_violation` meets, by the number that it returns.
+_VIOLATIONS = {
     1: "has {children} children, not 2 to {width}",
     2: "has children that do not stand behind it within the arrays",
     3: "is the child of more than one node",
@@ -28,31 +25,34 @@ _FAULTS = {
 }
 
 
-def faults(tree: WideTree, triangles: Triangles | None = None) -> list[str]:
-    """Find the first fault of a tree; see :meth:`mibvh.wide_tree.WideTree.validate`."""
-    found = meta_faults(tree.meta) or _array_faults(tree)
+def violations(tree: WideNodes) -> list[str]:
+    """Return the first violation, without the triangles; see ``WideTree.validate``."""
+    found = meta_violations(tree.meta) or _array_violations(tree)
     if found:
         return found[:1]
-    fault, node = _first_fault(
-        tree.lower, tree.upper, tree.child, tree.children, tree.first, tree.count,
-        tree.references, tree.width,
+    violation, node = _first_violation(
+        tree.lower,
+        tree.upper,
+        tree.child,
+        tree.children,
+        tree.first,
+        tree.count,
+        tree.references,
+        tree.width,
         # Grids of 8 bits widen boxes, by less than the scene's size.
         MAX_COORDINATE * (2 if tree.quantised else 1),
-    )  # fmt: skip
-    if fault:
-        sentence = _FAULTS[fault].format(
+    )
+    if violation:
+        sentence = _VIOLATIONS[violation].format(
             children=tree.children[node], width=tree.width, depth=MAX_DEPTH
         )
         return [f"node {node} {sentence}"]
     if tree.references.min() < 0:
         return [f"reference {int(tree.references.argmin())} is negative"]
-    if triangles is None:
-        return []
-    # What it looks at, wide trees have by the same names.
-    return geometry_faults(cast(Tree, tree), triangles)[:1]
+    return []
 
 
-def _array_faults(tree: WideTree) -> list[str]:
+def _array_violations(tree: WideNodes) -> list[str]:
     found = []
     if tree.width not in WIDTHS:
         found.append(f"the width is {tree.width!r}, not one of 2, 4, 8")
@@ -70,8 +70,8 @@ def _array_faults(tree: WideTree) -> list[str]:
 
 
 @njit
-def _first_fault(lower, upper, child, children, first, count, references, width, largest):
-    """Number of the first fault and its node; 0 for a valid tree.
+def _first_violation(lower, upper, child, children, first, count, references, width, largest):
+    """Number of the first violation and its node; 0 for a valid tree.
 
     Parents stand before their children: what a node is refused for is not looked at below it.
     """

@@ -6,7 +6,7 @@ import pytest
 from conftest import clipped, soup
 
 import mibvh
-from mibvh.validation import structure_faults
+from mibvh.validation import structure_violations
 
 ARRAYS = ("lower", "upper", "left", "first", "count", "references")
 
@@ -81,7 +81,7 @@ def test_against_a_slow_twin(name):
             changes[array] = {index: new}
         changed = spoilt(tree, **changes)
         verdicts.append(slowly_sound(changed))
-        assert (structure_faults(changed) == []) == verdicts[-1], changes
+        assert (structure_violations(changed) == []) == verdicts[-1], changes
     assert 50 < sum(verdicts) < 2950
 
 

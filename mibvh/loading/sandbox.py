@@ -7,7 +7,6 @@ that a file would smuggle in, as the scene is loaded again here once the trial w
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import subprocess
@@ -44,7 +43,7 @@ def try_to_load(source: str | os.PathLike[str], limit: float = LIMIT) -> None:
         If it cannot be loaded, crashes, or takes too long.
     """
     name = printable(source)
-    command = [sys.executable, "-m", "mibvh.loading.sandbox", os.fspath(source)]
+    command = [sys.executable, "-m", "mibvh.loading.trial", os.fspath(source)]
     package = str(Path(__file__).resolve().parents[2])
     paths = [package, *filter(None, [os.environ.get("PYTHONPATH")])]
     around = {**os.environ, VARIABLE: "0", "PYTHONPATH": os.pathsep.join(paths)}
@@ -68,21 +67,3 @@ def try_to_load(source: str | os.PathLike[str], limit: float = LIMIT) -> None:
     if ran.returncode:
         said = lines[-1] if lines else f"exit code {ran.returncode}"
         raise MibvhError(f"{name}: could not be loaded on trial ({said})")
-
-
-def _child(source: str) -> int:
-    """Load a scene; where memory runs out, let this process be the one that is ended."""
-    with contextlib.suppress(OSError):
-        Path("/proc/self/oom_score_adj").write_text("1000")
-    from mibvh.scene import load
-
-    try:
-        load(source)
-    except MibvhError as error:
-        sys.stderr.buffer.write(f"{error}\n".encode("utf-8", "backslashreplace"))
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(_child(sys.argv[1]))

@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import os
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
-from mibvh.files import checksum, read_arrays, write_arrays
+from mibvh.files import Stored, checksum
 from mibvh.triangles import F32, F64, I32, Triangles
 
-_ARRAYS = ("o", "d", "tmax", "viewpoint", "bounce", "source")
 #: What stands in the arrays that are not given.
 _DEFAULTS = {"tmax": np.inf, "viewpoint": 0, "bounce": 1, "source": -1}
 _INTEGERS = ("viewpoint", "bounce", "source")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class RaySet:
+class RaySet(Stored):
     """Rays to trace through trees. Origins and directions are enough.
 
     Attributes
@@ -50,6 +48,9 @@ class RaySet:
         a ``tmax`` is negative or no number, or an id is negative.
     """
 
+    _ARRAYS = ("o", "d", "tmax", "viewpoint", "bounce", "source")
+    _KIND = "ray set"
+
     o: F32
     d: F32
     tmax: F32 = None  # type: ignore[assignment] # filled in below
@@ -60,7 +61,7 @@ class RaySet:
 
     def __post_init__(self) -> None:
         rays = np.shape(self.o)[0] if np.ndim(self.o) else 0
-        for name in _ARRAYS:
+        for name in self._ARRAYS:
             given = getattr(self, name)
             if given is None:
                 given = np.full(rays, _DEFAULTS[name])
@@ -126,7 +127,7 @@ class RaySet:
     @functools.cached_property
     def digest(self) -> str:
         """SHA-256 of the rays."""
-        return checksum({name: getattr(self, name) for name in _ARRAYS}, {})
+        return checksum(self._arrays(), {})
 
     def select(self, chosen: Any) -> RaySet:
         """Keep some of the rays.
@@ -135,7 +136,7 @@ class RaySet:
         ----------
         chosen : index array, boolean mask or slice
         """
-        arrays = {name: getattr(self, name)[chosen] for name in _ARRAYS}
+        arrays = {name: array[chosen] for name, array in self._arrays().items()}
         return RaySet(**arrays, meta=self.meta)
 
     def rotated(self, rotation: F64, triangles: Triangles | None = None) -> RaySet:
@@ -158,40 +159,6 @@ class RaySet:
             o[leaving] = clear_origins(triangles, self.source[leaving], o[leaving], d[leaving])
         meta = {**self.meta, "digest": triangles.digest if triangles else None, "rotated": True}
         return dataclasses.replace(self, o=o.astype(np.float32), d=d, meta=meta)
-
-    def save(self, path: str | os.PathLike[str], key: str | None = None) -> None:
-        """Write an ``.npz`` file; see :func:`mibvh.files.write_arrays`.
-
-        Parameters
-        ----------
-        path : path
-        key : str, optional
-            What the rays were made from, to be asked for by :meth:`load`.
-        """
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
-        write_arrays(path, arrays, self.meta, kind="ray set", key=key)
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str], key: str | None = None) -> RaySet:
-        """Read a ray set back.
-
-        Parameters
-        ----------
-        path : path
-        key : str, optional
-            Refuse a file that was not saved with this key.
-
-        Raises
-        ------
-        MibvhError
-            If the file is missing, is no ray set, is damaged, carries another key, comes from a
-            newer format, or its arrays are not those of rays.
-        """
-        arrays, meta = read_arrays(path, "ray set", _ARRAYS, key=key)
-        try:
-            return cls(**arrays, meta=meta)
-        except MibvhError as error:
-            raise MibvhError(f"{path}: {error}") from None
 
 
 def _column(name: str, given: Any, rays: int) -> npt.NDArray[Any]:
