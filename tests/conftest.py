@@ -21,11 +21,25 @@ def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 #: Files of slow tests, and what else makes a test slow: whole studies. All others are fast.
 SLOW_FILES = {
-    "test_cli", "test_cluster", "test_cluster_faults", "test_embree", "test_experiments",
-    "test_faults", "test_fuzz_meshes", "test_fuzz", "test_hostile_study", "test_notebooks",
-    "test_parallel", "test_plugins", "test_report_browser", "test_scenes_bundled", "test_study",
-    "test_study_killed", "test_traversal_styles", "test_traversal_warp",
-}  # fmt: skip
+    "test_cli",
+    "test_cluster",
+    "test_cluster_faults",
+    "test_embree",
+    "test_experiments",
+    "test_faults",
+    "test_fuzz_meshes",
+    "test_fuzz",
+    "test_hostile_study",
+    "test_notebooks",
+    "test_parallel",
+    "test_plugins",
+    "test_report_browser",
+    "test_scenes_bundled",
+    "test_study",
+    "test_study_killed",
+    "test_traversal_styles",
+    "test_traversal_warp",
+}
 SLOW_FIXTURES = {"small_study"}
 
 
@@ -80,9 +94,15 @@ def closed_box(lower: float = 0.0, upper: float = 1.0, cells: int = 4) -> np.nda
     """(N, 3, 3) float32: the closed surface of a cube, each face a grid of triangles."""
     s = np.linspace(lower, upper, cells + 1)
     u, v = (g.ravel() for g in np.meshgrid(np.arange(cells), np.arange(cells), indexing="ij"))
-    quads = np.stack([np.stack([s[u], s[v]], 1), np.stack([s[u + 1], s[v]], 1),
-                      np.stack([s[u + 1], s[v + 1]], 1),
-                      np.stack([s[u], s[v + 1]], 1)], 1)  # fmt: skip
+    quads = np.stack(
+        [
+            np.stack([s[u], s[v]], 1),
+            np.stack([s[u + 1], s[v]], 1),
+            np.stack([s[u + 1], s[v + 1]], 1),
+            np.stack([s[u], s[v + 1]], 1),
+        ],
+        1,
+    )
     flat = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     faces = []
     for axis in range(3):
@@ -110,18 +130,35 @@ def clipped(points, low, high):
 def tree_row(builder: str = "bbvh", **values: float) -> TreeRow:
     """Return a tree of a study of which only some quantities are known."""
     return TreeRow(
-        builder=builder, options={"max_leaf": 8}, values=values, sah_by_depth=[], epo_by_depth=[],
-        cost_groups=[], costs_by_origin=[], leaf_distribution=[], build_report={},
-    )  # fmt: skip
+        builder=builder,
+        options={"max_leaf": 8},
+        values=values,
+        sah_by_depth=[],
+        epo_by_depth=[],
+        cost_groups=[],
+        costs_by_origin=[],
+        leaf_distribution=[],
+        build_report={},
+    )
 
 
 def scene_record(trees: list[TreeRow], name: str = "one", triangles: int = 100) -> SceneRecord:
     """Return a scene of a study of which only the trees are known."""
     return SceneRecord(
-        scene=name, triangles=triangles, digest="", notes=[], rays=RayFacts(9, "", 1, 0, {}),
-        timing={}, trees=trees, options=StudyOptions(), environment={}, picture="", seconds={},
-        reused={}, code="",
-    )  # fmt: skip
+        scene=name,
+        triangles=triangles,
+        digest="",
+        notes=[],
+        rays=RayFacts(9, "", 1, 0, {}),
+        timing={},
+        trees=trees,
+        options=StudyOptions(),
+        environment={},
+        picture="",
+        seconds={},
+        reused={},
+        code="",
+    )
 
 
 @pytest.fixture(scope="session")
@@ -138,7 +175,11 @@ def cornell() -> mibvh.Scene:
 def small_study(tmp_path_factory: pytest.TempPathFactory, cornell: mibvh.Scene) -> mibvh.Study:
     """Return a finished study of two scenes; tests only read it."""
     return mibvh.study(
-        [cornell, "hairball@3000"], tmp_path_factory.mktemp("study"),
-        builders=("bbvh", "lbvh", "hill", "treelet"), width=24, height=16, scalar_rays=256,
+        [cornell, "hairball@3000"],
+        tmp_path_factory.mktemp("study"),
+        builders=("bbvh", "lbvh", "hill", "treelet"),
+        width=24,
+        height=16,
+        scalar_rays=256,
         seconds=0.0,
-    )  # fmt: skip
+    )

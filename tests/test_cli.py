@@ -91,9 +91,20 @@ def test_other_kinds_of_rays_and_rays_of_ones_own(cli, tmp_path):
 def test_a_study_for_machines(cli, tmp_path):
     """JSON lines, the result last; twice the samples are twice the camera rays."""
     code, out, err = cli(
-        "study", "cornell@1000", "-o", tmp_path, "--builders", "lbvh", "--experiments",
-        "prediction", "--seconds", 0, "--samples", 2, "--json",
-    )  # fmt: skip
+        "study",
+        "cornell@1000",
+        "-o",
+        tmp_path,
+        "--builders",
+        "lbvh",
+        "--experiments",
+        "prediction",
+        "--seconds",
+        0,
+        "--samples",
+        2,
+        "--json",
+    )
     assert (code, err) == (0, "")
     *progress, result = map(json.loads, out.splitlines())
     assert {line["event"] for line in progress} == {"progress"}
@@ -189,17 +200,32 @@ def test_a_study_with_trees_and_a_scene_that_is_not_there(cli, tmp_path):
     mibvh.write_tree(tree, tmp_path / "tree.bin")
     mibvh.diffuse_rays(scene, width=16, height=12, samples=1).save(tmp_path / "rays.npz")
     code, out, err = cli(
-        "study", "cornell@1000", "absent.ply", "-o", tmp_path / "out", "--builders",
-        "lbvh,hill(start=lbvh,sweeps=2)", "--tree", f"given={tmp_path / 'tree.bin'},", "--rays",
-        f"{tmp_path / 'rays.npz'},", "--seconds", 0, "--experiments", "prediction", "--json",
-    )  # fmt: skip
+        "study",
+        "cornell@1000",
+        "absent.ply",
+        "-o",
+        tmp_path / "out",
+        "--builders",
+        "lbvh,hill(start=lbvh,sweeps=2)",
+        "--tree",
+        f"given={tmp_path / 'tree.bin'},",
+        "--rays",
+        f"{tmp_path / 'rays.npz'},",
+        "--seconds",
+        0,
+        "--experiments",
+        "prediction",
+        "--json",
+    )
     result = json.loads(out.splitlines()[-1])
     assert code == 2
     assert "mibvh: absent.ply was left out: absent.ply: there is no such file" in err
     assert list(result["left_out"]) == ["absent.ply"]
     assert [row["builder"] for row in result["trees"]] == [
-        "lbvh", "hill(start=lbvh,sweeps=2)", "given",
-    ]  # fmt: skip
+        "lbvh",
+        "hill(start=lbvh,sweeps=2)",
+        "given",
+    ]
     assert result["trees"][2]["sah"] == pytest.approx(mibvh.sah(tree))
     assert result["trees"][2]["build_seconds"] is None
     assert result["audit_failures"] == []
@@ -280,10 +306,17 @@ def test_import_is_quick_and_touches_no_variant():
         "print(time.perf_counter() - t)"
     )
     times = [
-        float(subprocess.run([sys.executable, "-c", program], capture_output=True, text=True,
-                             check=True, env=dict(os.environ)).stdout)
+        float(
+            subprocess.run(
+                [sys.executable, "-c", program],
+                capture_output=True,
+                text=True,
+                check=True,
+                env=dict(os.environ),
+            ).stdout
+        )
         for _ in range(3)
-    ]  # fmt: skip
+    ]
     assert min(times) < 1.0
 
 

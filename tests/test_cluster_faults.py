@@ -12,8 +12,14 @@ from mibvh.studies import cluster as module
 distributed = pytest.importorskip("distributed", reason="pip install 'mibvh[cluster]'")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
 
-CHOICES = {"builders": ("bbvh", "lbvh"), "width": 24, "height": 16, "scalar_rays": 256,
-           "seconds": 60.0, "standard_error": 0.0}  # fmt: skip
+CHOICES = {
+    "builders": ("bbvh", "lbvh"),
+    "width": 24,
+    "height": 16,
+    "scalar_rays": 256,
+    "seconds": 60.0,
+    "standard_error": 0.0,
+}
 
 
 @pytest.fixture
@@ -22,17 +28,39 @@ def processes(tmp_path):
     started = []
 
     def start(*arguments):
-        process = subprocess.Popen([sys.executable, "-m", "dask", *arguments],
-                                   stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                                   cwd=tmp_path)  # fmt: skip
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dask", *arguments],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            cwd=tmp_path,
+        )
         started.append(process)
         return process
 
     file = tmp_path / "scheduler.json"
-    scheduler = start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
-                      "--scheduler-file", str(file))  # fmt: skip
-    worker = start("worker", "--scheduler-file", str(file), "--no-nanny", "--nthreads", "1",
-                   "--resources", "mibvh=1", "--no-dashboard", "--host", "127.0.0.1")  # fmt: skip
+    scheduler = start(
+        "scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+        "--scheduler-file",
+        str(file),
+    )
+    worker = start(
+        "worker",
+        "--scheduler-file",
+        str(file),
+        "--no-nanny",
+        "--nthreads",
+        "1",
+        "--resources",
+        "mibvh=1",
+        "--no-dashboard",
+        "--host",
+        "127.0.0.1",
+    )
     deadline = time.monotonic() + 60
     while not file.exists() and time.monotonic() < deadline:
         time.sleep(0.1)
@@ -74,18 +102,32 @@ def test_a_mistake_on_a_worker_names_the_worker(processes, tmp_path):
 
     try:
         with pytest.raises(mibvh.MibvhError, match=r"on worker tcp://127.*no builder 'only-here'"):
-            mibvh.study(["cornell@1000"], tmp_path / "s", scheduler=processes[0],
-                        **{**CHOICES, "builders": ("only-here",)})  # fmt: skip
+            mibvh.study(
+                ["cornell@1000"],
+                tmp_path / "s",
+                scheduler=processes[0],
+                **{**CHOICES, "builders": ("only-here",)},
+            )
     finally:
         from mibvh.builders import registry
 
         registry._registered.pop("only-here")
 
 
-@pytest.mark.parametrize("address", [
-    "tcp://127.0.0.1:1", "127.0.0.1:1", "tcp://localhost:port", "tcp://:99999999", "tcp://", "",
-    "tcp://a..b:1", "tcp://[::1", "nonsense://here",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "address",
+    [
+        "tcp://127.0.0.1:1",
+        "127.0.0.1:1",
+        "tcp://localhost:port",
+        "tcp://:99999999",
+        "tcp://",
+        "",
+        "tcp://a..b:1",
+        "tcp://[::1",
+        "nonsense://here",
+    ],
+)
 def test_where_nothing_listens(address, tmp_path):
     with pytest.raises(mibvh.MibvhError, match="no Dask scheduler answers"):
         mibvh.study(["cornell@1000"], tmp_path, scheduler=address, **CHOICES)

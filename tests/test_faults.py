@@ -26,9 +26,14 @@ def mibvh_command(*arguments, most_bytes=None, **options):
             resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
 
     return subprocess.run(
-        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, preexec_fn=limit,
-        env={**os.environ, **options}, check=False, timeout=300,
-    )  # fmt: skip
+        [*COMMAND, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        preexec_fn=limit,
+        env={**os.environ, **options},
+        check=False,
+        timeout=300,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -49,13 +54,23 @@ def made(tmp_path_factory):
         ("trace", "cornell@3000", "T", "R", "--repeats", 1, "-o", "OUT.npz"),
         ("export", "T", "-o", "OUT"),
         ("triangles", "cornell@3000", "-o", "OUT"),
-        ("render", "cornell@3000", "--spp", 1, "--size", "80x60", "--builder", "lbvh",
-         "-o", "OUT.exr"),
+        (
+            "render",
+            "cornell@3000",
+            "--spp",
+            1,
+            "--size",
+            "80x60",
+            "--builder",
+            "lbvh",
+            "-o",
+            "OUT.exr",
+        ),
         ("scenes", "show", "cornell@3000", "-o", "OUT.png"),
         ("scenes", "make", "cornell", "--triangles", 3000, "-o", "OUT"),
     ],
     ids=lambda arguments: " ".join(arguments[: 1 + (arguments[0] == "scenes")]),
-)  # fmt: skip
+)
 def test_a_full_disk(arguments, made, tmp_path):
     """A limit on the size of files acts as a full disk does, in the middle of writing."""
     names = {"T": made / "t.npz", "R": made / "r.npz"}
@@ -72,8 +87,18 @@ def test_a_full_disk(arguments, made, tmp_path):
 
 
 def test_a_study_on_a_full_disk_goes_on_after(tmp_path):
-    study = ("study", "cornell@1000", "-o", tmp_path / "s", "--builders", "lbvh,bbvh",
-             "--seconds", 0, "--experiments", "prediction")  # fmt: skip
+    study = (
+        "study",
+        "cornell@1000",
+        "-o",
+        tmp_path / "s",
+        "--builders",
+        "lbvh,bbvh",
+        "--seconds",
+        0,
+        "--experiments",
+        "prediction",
+    )
     ended = mibvh_command(*study, most_bytes=40_000)
     assert ended.returncode == 2
     assert ended.stderr.splitlines()[-1].endswith("cannot be written (File too large)")
@@ -89,9 +114,13 @@ def test_standard_output_may_be_full(command, tmp_path):
     """As a file that may not have a byte; `> /dev/full` is the same."""
     with (tmp_path / "out").open("w") as out:
         ended = subprocess.run(
-            [*COMMAND, *command.split()], stdout=out, stderr=subprocess.PIPE, text=True,
-            check=False, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)),
-        )  # fmt: skip
+            [*COMMAND, *command.split()],
+            stdout=out,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)),
+        )
     assert ended.returncode == 2
     assert ended.stderr == "mibvh: standard output: cannot be written (File too large)\n"
 
@@ -140,8 +169,9 @@ def test_a_killed_study_holds_no_lock_and_leaves_no_half_file(tmp_path):
         "with alone_in(folder), atomic_path(folder / 'cache' / 'tree-1.npz') as path:\n"
         "    path.write_text('half'); print('there', flush=True); time.sleep(60)\n"
     )
-    with subprocess.Popen([sys.executable, "-c", program, str(tmp_path)],
-                          stdout=subprocess.PIPE, text=True) as process:  # fmt: skip
+    with subprocess.Popen(
+        [sys.executable, "-c", program, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    ) as process:
         process.stdout.readline()
         assert len(list((tmp_path / "cache").iterdir())) == 2
         with pytest.raises(mibvh.MibvhError, match="another study"), alone_in(tmp_path):
@@ -153,10 +183,21 @@ def test_a_killed_study_holds_no_lock_and_leaves_no_half_file(tmp_path):
 
 
 def test_an_interrupted_study_says_that_it_goes_on(tmp_path):
-    command = [*COMMAND, "study", "cornell@1000", "-o", str(tmp_path), "--builders", "lbvh,bbvh",
-               "--seconds", "30", "--json"]  # fmt: skip
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                          text=True) as process:  # fmt: skip
+    command = [
+        *COMMAND,
+        "study",
+        "cornell@1000",
+        "-o",
+        str(tmp_path),
+        "--builders",
+        "lbvh,bbvh",
+        "--seconds",
+        "30",
+        "--json",
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         for line in process.stdout:
             if '"time scalar"' in line:
                 process.send_signal(signal.SIGINT)
@@ -213,8 +254,13 @@ def test_compiled_code_is_kept_elsewhere_where_package_and_home_are_read_only(tm
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     environment.pop("NUMBA_CACHE_DIR", None)
     for private in (True, False):
-        ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True,
-                               env=environment, check=False)  # fmt: skip
+        ended = subprocess.run(
+            [sys.executable, "-c", program],
+            capture_output=True,
+            text=True,
+            env=environment,
+            check=False,
+        )
         assert ended.returncode == 0, ended.stderr
         folder = tmp_path / f"mibvh-compiled-{os.getuid()}"
         assert (ended.stdout.strip() == str(folder)) == private
@@ -231,7 +277,10 @@ def test_a_full_disk_does_not_keep_from_compiling(tmp_path):
         "print(float_keys(np.zeros(3, np.float32)).shape)\n"
     )
     ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False,
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=False,
         env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
-    )  # fmt: skip
+    )
     assert (ended.returncode, ended.stdout) == (0, "(3,)\n"), ended.stderr

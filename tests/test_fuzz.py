@@ -41,9 +41,13 @@ def test_wrong_distances_are_found(bench, monkeypatch, part):
 
         def wrong(tree, *given, **options):
             hits = trace(tree, *given, **options)
-            return hits if tree.depth == 0 else hits.__class__(
-                np.nextafter(hits.t, np.float32(0)), *list(vars(hits).values())[1:]
-            )  # fmt: skip
+            return (
+                hits
+                if tree.depth == 0
+                else hits.__class__(
+                    np.nextafter(hits.t, np.float32(0)), *list(vars(hits).values())[1:]
+                )
+            )
 
         monkeypatch.setattr(mibvh, "trace", wrong)
         said = "wrong hits of lbvh"

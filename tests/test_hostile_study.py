@@ -23,10 +23,21 @@ from mibvh.studies.run import read_study, remake_report, write_outputs
 
 #: Names that mean something to a file system, a spreadsheet, LaTeX, Markdown, HTML or matplotlib.
 NAMES = [
-    "../../outside", "/outside/absolute", "=1+2", "@SUM(A1)", "<script>alert(1)</script>",
-    "[a](javascript:b) | `c`", r"\input{x} %$#_{}~^&", "$\\frac{1}{0}$", "a|b\nc", '" onload="x',
-    "_hidden", ".dot", "é" * 200, "nul\0 esc\x1b half\ud800",
-]  # fmt: skip
+    "../../outside",
+    "/outside/absolute",
+    "=1+2",
+    "@SUM(A1)",
+    "<script>alert(1)</script>",
+    "[a](javascript:b) | `c`",
+    r"\input{x} %$#_{}~^&",
+    "$\\frac{1}{0}$",
+    "a|b\nc",
+    '" onload="x',
+    "_hidden",
+    ".dot",
+    "é" * 200,
+    "nul\0 esc\x1b half\ud800",
+]
 
 
 @pytest.fixture
@@ -56,17 +67,33 @@ def test_listed_files_outside_are_not_removed(folder):
     victims = [folder.parent / "precious.csv", folder / "mine.csv", folder / "tables" / "old.csv"]
     for path in victims:
         path.write_text("kept")
-    listed = ["../precious.csv", "tables/../../precious.csv", str(victims[0]), "mine.csv",
-              "tables/old.csv", "tables", "", "cache/study.json"]  # fmt: skip
+    listed = [
+        "../precious.csv",
+        "tables/../../precious.csv",
+        str(victims[0]),
+        "mine.csv",
+        "tables/old.csv",
+        "tables",
+        "",
+        "cache/study.json",
+    ]
     Store(folder / "cache").write("study-files", {"files": listed})
     remake_report(folder)
     assert [path.exists() for path in victims] == [True, True, False]
     assert (folder / "cache" / "study.json").exists()
 
 
-@pytest.mark.parametrize("damage", [
-    {"files": 3}, {"files": [1, None]}, {}, {"files": {"a": 1}}, {"other": []}, {"files": [["x"]]},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"files": 3},
+        {"files": [1, None]},
+        {},
+        {"files": {"a": 1}},
+        {"other": []},
+        {"files": [["x"]]},
+    ],
+)
 def test_a_damaged_list_of_files_is_made_anew(folder, damage):
     Store(folder / "cache").write("study-files", damage)
     remake_report(folder)
@@ -79,12 +106,16 @@ def test_names_of_scenes_and_builders_are_data(folder):
     [record, *_] = read_study(folder).scenes
     records = [
         dataclasses.replace(
-            record, scene=name, notes=[name],
-            trees=[dataclasses.replace(tree, builder=f"{name}{i}" if i else name)
-                   for i, tree in enumerate(record.trees)],
+            record,
+            scene=name,
+            notes=[name],
+            trees=[
+                dataclasses.replace(tree, builder=f"{name}{i}" if i else name)
+                for i, tree in enumerate(record.trees)
+            ],
         )
         for name in NAMES
-    ]  # fmt: skip
+    ]
     write_outputs(folder, records)
     assert around(folder) == before
     page = (folder / "report.html").read_text()
@@ -158,11 +189,18 @@ def test_records_that_make_no_sense_are_one_sentence(folder, damage):
     assert str(folder) in str(said.value)
 
 
-@pytest.mark.parametrize("finished", [
-    {"scenes": "cornell", "format": 7}, {"scenes": [], "format": 7}, {"format": 7},
-    {"scenes": [["a"]], "format": 7}, {"scenes": ["absent"], "format": 7},
-    {"scenes": [], "format": "7"}, {"scenes": [], "format": 6},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "finished",
+    [
+        {"scenes": "cornell", "format": 7},
+        {"scenes": [], "format": 7},
+        {"format": 7},
+        {"scenes": [["a"]], "format": 7},
+        {"scenes": ["absent"], "format": 7},
+        {"scenes": [], "format": "7"},
+        {"scenes": [], "format": 6},
+    ],
+)
 def test_a_damaged_list_of_scenes_is_one_sentence(folder, finished):
     Store(folder / "cache").write("study", finished)
     with pytest.raises(MibvhError, match=str(folder)):
@@ -175,10 +213,22 @@ class Piece:
     values: dict[str, float]
 
 
-@pytest.mark.parametrize("damage", [
-    b"", b"\xff\xfe", b"[" * 100_000, b"1" * 10_000, b"NaN", b'{"checksum": 1}', b"[]", b"null",
-    b'{"checksum": "x", "seconds": {}, "value": {}}', b'{"checksum": "x", "seconds": 1e999}',
-], ids=range(10))  # fmt: skip
+@pytest.mark.parametrize(
+    "damage",
+    [
+        b"",
+        b"\xff\xfe",
+        b"[" * 100_000,
+        b"1" * 10_000,
+        b"NaN",
+        b'{"checksum": 1}',
+        b"[]",
+        b"null",
+        b'{"checksum": "x", "seconds": {}, "value": {}}',
+        b'{"checksum": "x", "seconds": 1e999}',
+    ],
+    ids=range(10),
+)
 def test_a_damaged_piece_is_made_anew(tmp_path, damage):
     store = Store(tmp_path)
     (tmp_path / "piece.json").write_bytes(damage)
@@ -186,10 +236,17 @@ def test_a_damaged_piece_is_made_anew(tmp_path, damage):
     assert store.read("piece") == {"number": 3, "values": {"a": 0.5}}
 
 
-@pytest.mark.parametrize("value", [
-    {}, {"number": 1}, {"number": "1", "values": {}}, {"number": 1, "values": []},
-    {"number": 1, "values": {"a": "b"}}, {"number": 10**30, "values": {}},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "value",
+    [
+        {},
+        {"number": 1},
+        {"number": "1", "values": {}},
+        {"number": 1, "values": []},
+        {"number": 1, "values": {"a": "b"}},
+        {"number": 10**30, "values": {}},
+    ],
+)
 def test_a_piece_of_another_shape_is_made_anew(tmp_path, value):
     store = Store(tmp_path)
     store.write("piece", value)
@@ -223,20 +280,32 @@ def test_spreadsheets_get_no_formulas(tmp_path):
     frame = pd.DataFrame({"=name": ["=1", "+a", "-2.5%", "@x", "ok"], "n": [-1.0, 2, 3, 4, np.nan]})
     write_csv(frame, tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_text().splitlines() == [
-        "'=name,n", "'=1,-1.0", "'+a,2.0", "-2.5%,3.0", "'@x,4.0", "ok,",
-    ]  # fmt: skip
+        "'=name,n",
+        "'=1,-1.0",
+        "'+a,2.0",
+        "-2.5%,3.0",
+        "'@x,4.0",
+        "ok,",
+    ]
     assert frame["=name"][0] == "=1"
 
 
 def test_tables_keep_their_shape():
     sheet = Sheet(
-        name="a_b/c\\d", section="s", title="<b> of a|b",
+        name="a_b/c\\d",
+        section="s",
+        title="<b> of a|b",
         frame=pd.DataFrame({"x": ["[2]", "*|\n"]}),
         columns=[Column("x")],
-    )  # fmt: skip
+    )
     assert sheet.markdown().splitlines() == [
-        r"### \<b\> of a\|b", "", "| x |", "| --- |", r"| \[2\] |", r"| \*\| |",
-    ]  # fmt: skip
+        r"### \<b\> of a\|b",
+        "",
+        "| x |",
+        "| --- |",
+        r"| \[2\] |",
+        r"| \*\| |",
+    ]
     latex = sheet.latex()
     assert r"\label{tab:a-b-c-d}" in latex
     assert "{[}2] \\\\\n{*}| \\\\\n" in latex

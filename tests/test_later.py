@@ -83,10 +83,22 @@ def plain_ploc(refs, radius):
         near = []
         for i, (_, low, high) in enumerate(clusters):
             around = range(max(0, i - radius), min(len(clusters), i + radius + 1))
-            near.append(min(
-                (np.float32(half_area(np.minimum(low, clusters[j][1]),
-                                      np.maximum(high, clusters[j][2]))),
-                 min(i, j), max(i, j), j) for j in around if j != i)[3])  # fmt: skip
+            near.append(
+                min(
+                    (
+                        np.float32(
+                            half_area(
+                                np.minimum(low, clusters[j][1]), np.maximum(high, clusters[j][2])
+                            )
+                        ),
+                        min(i, j),
+                        max(i, j),
+                        j,
+                    )
+                    for j in around
+                    if j != i
+                )[3]
+            )
         kept = []
         for i, cluster in enumerate(clusters):
             j = near[i]
@@ -95,9 +107,10 @@ def plain_ploc(refs, radius):
             if near[j] == i:
                 other = clusters[j]
                 cluster = (
-                    cluster[0] + other[0], np.minimum(cluster[1], other[1]),
+                    cluster[0] + other[0],
+                    np.minimum(cluster[1], other[1]),
                     np.maximum(cluster[2], other[2]),
-                )  # fmt: skip
+                )
                 merged.add(tuple(sorted(cluster[0])))
             kept.append(cluster)
         clusters = kept
@@ -180,9 +193,13 @@ def test_gains_are_those_of_the_best_move_of_all_the_root_included(seed):
             moved = [a.copy() for a in (left, right, parent, box)]
             cost = _costs(None, box)
             done = _move_all(
-                None, np.array([node], np.int32), np.array([to], np.int32), *moved, cost,
+                None,
+                np.array([node], np.int32),
+                np.array([to], np.int32),
+                *moved,
+                cost,
                 np.zeros(len(left), np.bool_),
-            )  # fmt: skip
+            )
             assert done == 1
             saved = before - inner_area(moved[0], moved[3])
             best = max(best, saved)

@@ -11,12 +11,34 @@ import pytest
 import mibvh
 
 #: A triangle (0.5), a unit square (1) and a house: a unit square with a roof of height 1 (1.5).
-POINTS = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (3, 0, 0), (3, 1, 0), (2, 1, 0),
-          (4, 0, 0), (5, 0, 0), (5, 1, 0), (4.5, 2, 0), (4, 1, 0)]  # fmt: skip
+POINTS = [
+    (0, 0, 0),
+    (1, 0, 0),
+    (0, 1, 0),
+    (2, 0, 0),
+    (3, 0, 0),
+    (3, 1, 0),
+    (2, 1, 0),
+    (4, 0, 0),
+    (5, 0, 0),
+    (5, 1, 0),
+    (4.5, 2, 0),
+    (4, 1, 0),
+]
 FACES = [(0, 1, 2), (3, 4, 5, 6), (7, 8, 9, 10, 11)]
 U = [(0, 0, 0), (3, 0, 0), (3, 3, 0), (2, 3, 0), (2, 1, 0), (1, 1, 0), (1, 3, 0), (0, 3, 0)]
-_CODES = {"uchar": "B", "char": "b", "ushort": "H", "short": "h", "int": "i", "uint": "I",
-          "int32": "i", "uint8": "B", "float": "f", "double": "d"}  # fmt: skip
+_CODES = {
+    "uchar": "B",
+    "char": "b",
+    "ushort": "H",
+    "short": "h",
+    "int": "i",
+    "uint": "I",
+    "int32": "i",
+    "uint8": "B",
+    "float": "f",
+    "double": "d",
+}
 
 
 def ply(

@@ -97,16 +97,18 @@ def test_between_planes_counts_are_between_those_of_the_boxes_inside_and_outside
         above = [np.searchsorted(planes[k], high[k], side="left") for k in range(3)]
         found = touched(tables, *low, *high)
         outside = touched(
-            tables, *(np.float32(planes[k, below[k]]) for k in range(3)),
+            tables,
+            *(np.float32(planes[k, below[k]]) for k in range(3)),
             *(np.float32(planes[k, above[k]]) for k in range(3)),
-        )  # fmt: skip
+        )
         assert found <= outside + 1e-6
         if all(below[k] + 1 <= above[k] - 1 for k in range(3)):
             nested += 1
             inside = touched(
-                tables, *(np.float32(planes[k, below[k] + 1]) for k in range(3)),
+                tables,
+                *(np.float32(planes[k, below[k] + 1]) for k in range(3)),
                 *(np.float32(planes[k, above[k] - 1]) for k in range(3)),
-            )  # fmt: skip
+            )
             assert found >= inside - 1e-6
     assert nested > 20
 
@@ -184,8 +186,10 @@ def test_a_measure_of_the_users_own_counts_everywhere():
     assert tree.validate(mibvh.Triangles(corners)) == []
     assert len(mine.scales) >= 3
     assert len(set(mine.scales)) == 1
-    lengths = [np.ptp(inner_boxes(t).reshape(-1, 2, 3)[..., 0], axis=1).sum()
-               for t in (tree, mibvh.build(corners, "bittner"))]  # fmt: skip
+    lengths = [
+        np.ptp(inner_boxes(t).reshape(-1, 2, 3)[..., 0], axis=1).sum()
+        for t in (tree, mibvh.build(corners, "bittner"))
+    ]
     assert lengths[0] < 0.9 * lengths[1]
 
 

@@ -78,9 +78,18 @@ def test_best_plane_is_the_cheapest_of_all(seed, size, count):
     whole = np.zeros(8, np.float32)
     whole[0:3], whole[4:7] = refs.lower[rows].min(axis=0), -refs.upper[rows].max(axis=0)
     axis, plane = best_plane(
-        None, triangles.corners, refs.scale, lists, 0, size, size, count, whole,
-        np.float32(np.inf), new_bins(count, size, size),
-    )  # fmt: skip
+        None,
+        triangles.corners,
+        refs.scale,
+        lists,
+        0,
+        size,
+        size,
+        count,
+        whole,
+        np.float32(np.inf),
+        new_bins(count, size, size),
+    )
     costs = cheapest_plane(triangles, refs, rows, count)
     width = (-whole[4 + axis] - whole[axis]) / count
     found = costs[axis, round((float(plane) - float(whole[axis])) / float(width))]

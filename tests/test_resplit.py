@@ -72,9 +72,13 @@ def test_cost_falls_and_the_tree_stays_sound(case):
         references += done if step == state.split else -done
         assert len(now.references) == references
         tree = finish(
-            now, c_inner=1.2, c_tri=1.0, max_leaf=8, meta={"triangles": len(triangles)},
+            now,
+            c_inner=1.2,
+            c_tri=1.0,
+            max_leaf=8,
+            meta={"triangles": len(triangles)},
             measure=measure,
-        )  # fmt: skip
+        )
         assert tree.validate(triangles) == []
         before = after
     assert changed > 10

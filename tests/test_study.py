@@ -22,10 +22,15 @@ def finished(tmp_path_factory, cornell):
     folder = tmp_path_factory.mktemp("study")
     stages = []
     return (
-        mibvh.study([cornell], folder, builders=("bbvh", "lbvh", "treewise"),
-                    progress=stages.append, **CHOICES),
+        mibvh.study(
+            [cornell],
+            folder,
+            builders=("bbvh", "lbvh", "treewise"),
+            progress=stages.append,
+            **CHOICES,
+        ),
         stages,
-    )  # fmt: skip
+    )
 
 
 @mibvh.builder("treewise", summary="halves the list", source="the test", version="1")
@@ -72,8 +77,16 @@ def test_files(finished):
 def test_seconds_are_those_of_the_stages(finished):
     seconds = finished[0].scenes[0].seconds
     assert list(seconds) == [
-        "rays", "trees", "metrics", "counts", "warps", "audit", "stopwatch", "picture", "depth",
-    ]  # fmt: skip
+        "rays",
+        "trees",
+        "metrics",
+        "counts",
+        "warps",
+        "audit",
+        "stopwatch",
+        "picture",
+        "depth",
+    ]
     assert all(spent > 0 for spent in seconds.values())
     built = finished[0].table["build_seconds"].sum()
     assert seconds["trees"] >= built
@@ -89,9 +102,14 @@ def test_progress_ends_at_one(finished):
 def test_again_recomputes_nothing_and_report_remakes(finished, cornell, monkeypatch):
     study = finished[0]
     before = {p: p.stat().st_mtime_ns for p in (study.folder / "cache").glob("t*")}
-    for name in ("studies.measure.trees.build", "studies.measure.times.measure",
-                 "studies.measure.scene.diffuse_rays", "studies.measure.counts.Tracer",
-                 "studies.measure.times.Tracer", "metrics.registry.overlap"):  # fmt: skip
+    for name in (
+        "studies.measure.trees.build",
+        "studies.measure.times.measure",
+        "studies.measure.scene.diffuse_rays",
+        "studies.measure.counts.Tracer",
+        "studies.measure.times.Tracer",
+        "metrics.registry.overlap",
+    ):
         monkeypatch.setattr(f"mibvh.{name}", lambda *_, name=name, **__: pytest.fail(name))
     again = mibvh.study([cornell], study.folder, builders=("bbvh", "lbvh", "treewise"), **CHOICES)
     assert again.table.equals(study.table)
@@ -127,8 +145,11 @@ def test_a_folder_that_held_other_studies(tmp_path, monkeypatch):
 
 def test_what_an_earlier_run_wrote_goes_and_what_others_wrote_stays(tmp_path):
     mibvh.study([soup(40)], tmp_path, builders=("bbvh", "lbvh"), **CHOICES)
-    old = {p.relative_to(tmp_path) for kind in ("tables", "figures")
-           for p in (tmp_path / kind).glob("soup40-*")}  # fmt: skip
+    old = {
+        p.relative_to(tmp_path)
+        for kind in ("tables", "figures")
+        for p in (tmp_path / kind).glob("soup40-*")
+    }
     assert len(old) > 8
     (tmp_path / "figures" / "own.svg").write_text("<svg/>")
     mibvh.study([soup(50)], tmp_path, builders=("bbvh", "lbvh"), **CHOICES)
@@ -141,8 +162,9 @@ def test_a_flat_scene(tmp_path, cornell):
     """No ray has a part inside its box, and none hits it: no metric of lines, and no crash."""
     across = np.arange(5.0)
     x, y = (v.ravel() for v in np.meshgrid(across, across))
-    corners = np.stack([np.stack([x + dx, y + dy, 0 * x], axis=1)
-                        for dx, dy in ((0, 0), (1, 0), (0, 1))], axis=1)  # fmt: skip
+    corners = np.stack(
+        [np.stack([x + dx, y + dy, 0 * x], axis=1) for dx, dy in ((0, 0), (1, 0), (0, 1))], axis=1
+    )
     flat = dataclasses.replace(mibvh.Triangles(corners.astype(np.float32)), name="flat")
     found = mibvh.study([flat, cornell], tmp_path, builders=("bbvh", "lbvh", "hill"), **CHOICES)
     of_flat = found.table[found.table["scene"] == "flat"]

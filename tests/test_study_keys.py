@@ -108,8 +108,9 @@ def test_a_wrong_number_that_is_kept_fails_its_audit(tmp_path):
         store.write(path.stem, kept)
     found = run(tmp_path, "bbvh", "sbvh")
     assert [(tree, check.name) for _, tree, check in found.failures] == [
-        ("bbvh", "epo"), ("sbvh", "epo"),
-    ]  # fmt: skip
+        ("bbvh", "epo"),
+        ("sbvh", "epo"),
+    ]
     text = (tmp_path / "report.html").read_text()
     assert "Numbers that are not to be believed" in text
     assert 'class="alarm"' in text

@@ -60,7 +60,10 @@ def test_kill_minus_nine(tmp_path):
     assert again.report.exists()
     measured = [
         "build_seconds",
-        *(f"{lanes}_{of}" for lanes in ("scalar", "simd")
-          for of in ("ns", "error", "ns_kernel", "ns_process")),
-    ]  # fmt: skip
+        *(
+            f"{lanes}_{of}"
+            for lanes in ("scalar", "simd")
+            for of in ("ns", "error", "ns_kernel", "ns_process")
+        ),
+    ]
     assert again.table.drop(columns=measured).equals(whole.table.drop(columns=measured))

@@ -45,10 +45,13 @@ def mine(scene):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory, scene, mine):
     return mibvh.study(
-        SCENE, tmp_path_factory.mktemp("study"), trees={"mine": {SCENE: mine}},
+        SCENE,
+        tmp_path_factory.mktemp("study"),
+        trees={"mine": {SCENE: mine}},
         builders="bbvh,lbvh,sbvh(budget=1.5),bittner(start=sbvh),sbvh(bins=8..24:8)",
-        experiments=("all",), **CHOICES,
-    )  # fmt: skip
+        experiments=("all",),
+        **CHOICES,
+    )
 
 
 @pytest.fixture
@@ -87,9 +90,15 @@ def test_a_given_tree_stands_everywhere_and_is_audited(finished):
     assert finished.failures == []
     names = [tree.builder for tree in record.trees]
     assert names == [
-        "bbvh", "lbvh", "sbvh(budget=1.5)", "bittner(start=sbvh)", "sbvh(bins=8)", "sbvh(bins=16)",
-        "sbvh(bins=24)", "mine",
-    ]  # fmt: skip
+        "bbvh",
+        "lbvh",
+        "sbvh(budget=1.5)",
+        "bittner(start=sbvh)",
+        "sbvh(bins=8)",
+        "sbvh(bins=16)",
+        "sbvh(bins=24)",
+        "mine",
+    ]
     checked, like = ([check.name for check in record.trees[i].audit] for i in (-1, -2))
     assert checked == like
     assert set(finished.depth["builder"]) == set(names)
@@ -203,8 +212,11 @@ def test_a_finished_tree_of_a_builder_in_all_experiments(tmp_path, register):
 def test_builders_are_named_by_what_differs():
     chosen = parse_all(["bbvh", "sbvh(budget = 2.0)", "bittner(start=sbvh)", "bbvh(max_leaf=4)"])
     assert [c.name for c in chosen] == [
-        "bbvh", "sbvh(budget=2.0)", "bittner(start=sbvh)", "bbvh(max_leaf=4)",
-    ]  # fmt: skip
+        "bbvh",
+        "sbvh(budget=2.0)",
+        "bittner(start=sbvh)",
+        "bbvh(max_leaf=4)",
+    ]
     assert parse("sbvh(bins=128)")[0].name == "sbvh"  # as it is by default
     assert [dict(c.options)["bins"] for c in parse("sbvh(bins=8..100:40)")] == [8, 48, 88]
     assert [dict(c.options)["alpha"] for c in parse("sbvh(alpha=0.1..0.3:0.1)")] == [0.1, 0.2, 0.3]
@@ -247,9 +259,11 @@ def test_trees_that_others_start_from_are_built_once(tmp_path, register, scene):
 
     register("slow", slow, version="1")
     found = mibvh.study(
-        scene, tmp_path, builders="slow,hill(start=slow),lbvh,bittner(start=slow),slow(max_leaf=2)",
+        scene,
+        tmp_path,
+        builders="slow,hill(start=slow),lbvh,bittner(start=slow),slow(max_leaf=2)",
         **CHOICES,
-    )  # fmt: skip
+    )
     assert [options.max_leaf for options in calls] == [8, 2]
     seconds = found.table.set_index("builder")["build_seconds"]
     # What a tree took includes what the one that it starts from took.
@@ -262,10 +276,15 @@ def test_trees_that_others_start_from_are_built_once(tmp_path, register, scene):
 
 def test_shared_drafts_are_those_that_would_be_built(scene):
     """Of the paper's optimisers, on split triangles too; nothing changes what is shared."""
-    chosen = parse_all([
-        "sbvh", "hill(start=sbvh)", "bittner(start=sbvh)", "treelet(start=sbvh)",
-        "hill(start=hill)",
-    ])  # fmt: skip
+    chosen = parse_all(
+        [
+            "sbvh",
+            "hill(start=sbvh)",
+            "bittner(start=sbvh)",
+            "treelet(start=sbvh)",
+            "hill(start=hill)",
+        ]
+    )
     alone = [mibvh.build(scene, c.builder, **dict(c.options)).digest for c in chosen]
     with shared_drafts(scene.triangles.digest) as drafts:
         drafts.want(frozenset().union(*(c.starts() for c in chosen)))
@@ -327,9 +346,13 @@ def test_given_rays_are_traced(tmp_path, scene):
     path = tmp_path / "rays.npz"
     np.savez(path, o=plain.o, d=plain.d, bounce=plain.bounce, viewpoint=plain.viewpoint)
     found = mibvh.study(
-        SCENE, tmp_path / "out", rays=path, builders="bbvh,lbvh",
-        experiments=("all",), **CHOICES,
-    )  # fmt: skip
+        SCENE,
+        tmp_path / "out",
+        rays=path,
+        builders="bbvh,lbvh",
+        experiments=("all",),
+        **CHOICES,
+    )
     record = found.scenes[0]
     assert (record.rays.count, record.rays.digest) == (len(plain), plain.digest)
     hits = mibvh.trace(mibvh.build(scene, "lbvh"), scene, plain, repeats=1)
@@ -340,8 +363,9 @@ def test_given_rays_are_traced(tmp_path, scene):
     assert found.failures == []
     assert {"bounce", "viewpoints"} <= set(found.sensitivity["experiment"])
     assert any("The rays were given (rays.npz)" in note for note in record.notes)
-    other = mibvh.study(SCENE, tmp_path / "out", rays=rays.select(slice(100)), **CHOICES,
-                        builders="bbvh,lbvh")  # fmt: skip
+    other = mibvh.study(
+        SCENE, tmp_path / "out", rays=rays.select(slice(100)), **CHOICES, builders="bbvh,lbvh"
+    )
     assert other.scenes[0].reused.get("counts", 0) == 0
     assert other.scenes[0].rays.count == 100
 

@@ -29,8 +29,14 @@ from mibvh.traversal.divergence import simd_cost
 from mibvh.traversal.warp import simulate
 
 BUILDERS = ("bbvh", "sbvh", "lbvh")
-CHOICES = {"width": 24, "height": 16, "scalar_rays": 256, "seconds": 0.0, "builders": BUILDERS,
-           "experiments": ("prediction",)}  # fmt: skip
+CHOICES = {
+    "width": 24,
+    "height": 16,
+    "scalar_rays": 256,
+    "seconds": 0.0,
+    "builders": BUILDERS,
+    "experiments": ("prediction",),
+}
 
 
 @pytest.fixture(scope="module")
@@ -85,8 +91,10 @@ def test_other_rules_simulate_anew_and_nothing_else(finished, cornell):
     assert again.table["warp_utilisation"].tolist() == [1, 1, 1]
     reused = again.scenes[0].reused
     assert {name: reused[name] for name in ("trees", "metrics", "counts")} == {
-        "trees": 3, "metrics": 3, "counts": 3,
-    }  # fmt: skip
+        "trees": 3,
+        "metrics": 3,
+        "counts": 3,
+    }
     assert reused.get("warps", 0) == 0
     back = mibvh.study([cornell], finished.folder, **CHOICES)
     assert back.scenes[0].reused["warps"] == 3
@@ -124,8 +132,11 @@ def test_impossible_warps():
 
 def test_warp_cost_is_predicted_drawn_and_listed(finished):
     assert [target.name for target in targets()] == [
-        "counted_cost", "scalar_ns", "simd_ns", "warp_cost",
-    ]  # fmt: skip
+        "counted_cost",
+        "scalar_ns",
+        "simd_ns",
+        "warp_cost",
+    ]
     of_warps = finished.correlations.query("measurement == 'warp_cost'").set_index("predictor")
     r = np.corrcoef(finished.table["sah"], finished.table["warp_cost"])[0, 1]
     assert of_warps.loc["SAH", "pearson"] == pytest.approx(r)
@@ -154,12 +165,22 @@ def record(name, *, ratios=_RATIOS, noise=0.001, factor=1.0):
         scalar = factor * (10 + place)
         rows.append(
             tree_row(
-                builder, sah=scalar, epo=place**2 / 4, lcv=ratio, counted_cost=scalar,
-                cost_deviation=scalar * ratio, length_ratio=0.3, warp_cost=ratio * scalar,
-                warp_scalar_cost=scalar, warp_utilisation=1 / ratio, scalar_ns=100 * scalar,
-                simd_ns=20 * scalar * (1 + 0.03 * place), scalar_error=noise, simd_error=noise,
+                builder,
+                sah=scalar,
+                epo=place**2 / 4,
+                lcv=ratio,
+                counted_cost=scalar,
+                cost_deviation=scalar * ratio,
+                length_ratio=0.3,
+                warp_cost=ratio * scalar,
+                warp_scalar_cost=scalar,
+                warp_utilisation=1 / ratio,
+                scalar_ns=100 * scalar,
+                simd_ns=20 * scalar * (1 + 0.03 * place),
+                scalar_error=noise,
+                simd_error=noise,
             )
-        )  # fmt: skip
+        )
     rows = [dataclasses.replace(row, cost_groups=[row["counted_cost"]] * 4) for row in rows]
     return scene_record(rows, name)
 
@@ -266,13 +287,23 @@ def test_warps_with_lcv_are_held_against_scalar_cost(ten):
     for warp in (sah + 4 * lcv, sah + 4 * noise):
         rows = [
             tree_row(
-                f"tree{k}", sah=sah[k], epo=1.0 + k % 2, lcv=3 + lcv[k], counted_cost=sah[k],
-                cost_deviation=1.0, length_ratio=0.3, warp_cost=warp[k], warp_scalar_cost=sah[k],
-                warp_utilisation=0.5, scalar_ns=sah[k], simd_ns=sah[k], scalar_error=0.2,
+                f"tree{k}",
+                sah=sah[k],
+                epo=1.0 + k % 2,
+                lcv=3 + lcv[k],
+                counted_cost=sah[k],
+                cost_deviation=1.0,
+                length_ratio=0.3,
+                warp_cost=warp[k],
+                warp_scalar_cost=sah[k],
+                warp_utilisation=0.5,
+                scalar_ns=sah[k],
+                simd_ns=sah[k],
+                scalar_error=0.2,
                 simd_error=0.2,
             )
             for k in range(9)
-        ]  # fmt: skip
+        ]
         rows = [dataclasses.replace(row, cost_groups=[row["counted_cost"]] * 4) for row in rows]
         held.append(judged([scene_record(rows, f"s{i}") for i in range(FEWEST_SCENES)])[name].held)
     assert held == ["yes", "no"]

@@ -152,8 +152,9 @@ def test_width_two_costs_what_the_binary_kernel_does(room, builder):
     scene, rays, trees = room
     for any_hit in (False, True):
         binary = mibvh.trace(trees[builder], scene, rays, any_hit=any_hit, repeats=1)
-        wide = mibvh.trace(mibvh.collapse(trees[builder], 2), scene, rays, style="wide",
-                           any_hit=any_hit, repeats=1)  # fmt: skip
+        wide = mibvh.trace(
+            mibvh.collapse(trees[builder], 2), scene, rays, style="wide", any_hit=any_hit, repeats=1
+        )
         for name in ("t", "triangle", *COUNTERS):
             np.testing.assert_array_equal(getattr(wide, name), getattr(binary, name))
         assert wide.counted_cost() == binary.counted_cost()
@@ -201,10 +202,11 @@ def test_collapsing_by_visits_is_cheaper_for_such_rays(room):
     assert visits[0] == 1
     assert visits.max() == 1
     costs = [
-        mibvh.trace(mibvh.collapse(tree, 8, weights=weights), scene, unseen, style="wide",
-                    repeats=1).counted_cost()
+        mibvh.trace(
+            mibvh.collapse(tree, 8, weights=weights), scene, unseen, style="wide", repeats=1
+        ).counted_cost()
         for weights in (None, visits)
-    ]  # fmt: skip
+    ]
     assert costs[1] < costs[0]
     wide = mibvh.collapse(tree, 8)
     hits = mibvh.trace(wide, scene, seen, style="wide", repeats=1)

@@ -44,9 +44,14 @@ def wrong_hits(triangles: Triangles, rays: RaySet, t: F32, triangle: I32) -> np.
     (R,) bool
     """
     return _wrong(
-        triangles.corners, rays.o, rays.d, rays.tmax, t, triangle,
+        triangles.corners,
+        rays.o,
+        rays.d,
+        rays.tmax,
+        t,
+        triangle,
         float(np.abs(triangles.bounds).max()),
-    )  # fmt: skip
+    )
 
 
 @njit(inline="always")
@@ -118,9 +123,12 @@ def check_brute_force(triangles: Triangles, rays: RaySet, hits: Hits, seed: int 
     chosen = some_rays(len(rays), wanted, seed)
     wrong = wrong_hits(triangles, rays.select(chosen), hits.t[chosen], hits.triangle[chosen])
     return Check.of(
-        "hits", float(wrong.sum()), 0.0, 0.0,
+        "hits",
+        float(wrong.sum()),
+        0.0,
+        0.0,
         f"wrong hits of {len(chosen):,} rays, by brute force in float64",
-    )  # fmt: skip
+    )
 
 
 def check_mitsuba(scene: Any, rays: RaySet, hits: Hits, seed: int = 0) -> Check:
@@ -143,9 +151,12 @@ def check_mitsuba(scene: Any, rays: RaySet, hits: Hits, seed: int = 0) -> Check:
         scene.triangles, rays.select(disputed), hits.t[disputed], hits.triangle[disputed]
     )
     return Check.of(
-        "mitsuba", float(wrong.sum()), 0.0, 0.0,
+        "mitsuba",
+        float(wrong.sum()),
+        0.0,
+        0.0,
         f"wrong ones of the {len(differ)} of {len(chosen):,} hits that are elsewhere in Mitsuba",
-    )  # fmt: skip
+    )
 
 
 def check_same_hits(
@@ -161,6 +172,9 @@ def check_same_hits(
     wrong = wrong_hits(triangles, rays.select(some), hits.t[some], hits.triangle[some])
     wrong |= wrong_hits(triangles, rays.select(some), others.t[some], others.triangle[some])
     return Check.of(
-        name, float(wrong.sum()), 0.0, 0.0,
+        name,
+        float(wrong.sum()),
+        0.0,
+        0.0,
         f"wrong hits among the {len(differ):,} of {len(rays):,} rays that differ",
-    )  # fmt: skip
+    )

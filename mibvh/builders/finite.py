@@ -60,9 +60,11 @@ class FiniteOptions(Options):
 
     rays: str = option("", "ray file to build for, instead of rays of the scene's cameras")
     count: int = option(
-        30_000, "rays that the tree is built for; more is slower, and a little better", 16,
+        30_000,
+        "rays that the tree is built for; more is slower, and a little better",
+        16,
         MAX_SEGMENTS,
-    )  # fmt: skip
+    )
     planes: int = option(64, "planes per axis of the measure's tables", 4, 256)
     area_weight: float = option(
         0.1, "weight of the area; more is safer for rays that are not known", 0.0, 1e6
@@ -100,9 +102,11 @@ def surface_rays(triangles: Triangles, count: int, seed: int) -> _Rays:
     d /= np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-30)
     o = points + normal * (_OFF * triangles.diagonal)
     return (
-        o.astype(np.float32), d.astype(np.float32), np.full(count, np.inf, np.float32),
+        o.astype(np.float32),
+        d.astype(np.float32),
+        np.full(count, np.inf, np.float32),
         np.zeros(count, np.int32),
-    )  # fmt: skip
+    )
 
 
 def training_rays(

@@ -139,9 +139,14 @@ def _remeasure(measure, rows, row, at):
     """Keep the measure of an entry beside its new box."""
     if measure is not None:
         rows[row, at + 6] = of_corners(
-            measure, rows[row, at], rows[row, at + 1], rows[row, at + 2],
-            rows[row, at + 3], rows[row, at + 4], rows[row, at + 5],
-        )  # fmt: skip
+            measure,
+            rows[row, at],
+            rows[row, at + 1],
+            rows[row, at + 2],
+            rows[row, at + 3],
+            rows[row, at + 4],
+            rows[row, at + 5],
+        )
 
 
 @njit

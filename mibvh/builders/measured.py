@@ -12,9 +12,14 @@ from mibvh.measures.boxes import of_corners
 @njit(allocates=False)
 def _other(measure, box):
     return of_corners(
-        measure, coordinate(box, 0), coordinate(box, 1), coordinate(box, 2),
-        -coordinate(box, 4), -coordinate(box, 5), -coordinate(box, 6),
-    )  # fmt: skip
+        measure,
+        coordinate(box, 0),
+        coordinate(box, 1),
+        coordinate(box, 2),
+        -coordinate(box, 4),
+        -coordinate(box, 5),
+        -coordinate(box, 6),
+    )
 
 
 @njit(allocates=False)

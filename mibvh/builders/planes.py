@@ -116,9 +116,23 @@ def _clipped_triangle(corners, triangle, scale, lists, row, polygon, spare, poin
 
 @njit(allocates=False)
 def _enter_all(
-    corners, scale, lists, first, n, count, most,
-    bin_box, bin_cut, begins, ends, frame, polygon, spare, points, rows,
-):  # fmt: skip
+    corners,
+    scale,
+    lists,
+    first,
+    n,
+    count,
+    most,
+    bin_box,
+    bin_cut,
+    begins,
+    ends,
+    frame,
+    polygon,
+    spare,
+    points,
+    rows,
+):
     """Enter a node's references into ``count`` bins on each axis, those across planes by corners.
 
     All arrays by themselves: a tuple of arrays is dear to hand on for each reference.
@@ -197,9 +211,24 @@ def _bin_of(x, origin, inverse, first, last):
 
 @njit(allocates=False)
 def _chop_all(
-    corners, scale, lists, across, count, most, axis, begin, end, origin, extent,
-    bin_cut, frame, polygon, spare, points, rows,
-):  # fmt: skip
+    corners,
+    scale,
+    lists,
+    across,
+    count,
+    most,
+    axis,
+    begin,
+    end,
+    origin,
+    extent,
+    bin_cut,
+    frame,
+    polygon,
+    spare,
+    points,
+    rows,
+):
     """Enter the sections of a node's references at the planes ``begin`` to ``end`` of an axis."""
     ids = lists.view(np.int32)
     whole_triangles = np.int32(len(corners)) + ID_ZERO
@@ -255,7 +284,7 @@ def _reach_planes(n, count, axis, origin, width, base, bin_cut, begins, ends):
 @njit(allocates=False)
 def _sweep_planes(
     measure, n, slack, count, base, first, last, limit, bin_box, bin_cut, begins, ends, areas
-):  # fmt: skip
+):
     """Try the planes of one axis from the first to the last.
 
     Planes that would add more references than there is room for are left out. A side's
@@ -338,9 +367,23 @@ def best_plane(measure, corners, scale, lists, first, n, slack, count, whole, li
     extent = (-whole[4] - whole[0], -whole[5] - whole[1], -whole[6] - whole[2])
     _set_frame(origin, extent, count, bins.frame)
     across = _enter_all(
-        corners, scale, lists, first, n, count, most, bin_box, bin_cut, begins, ends,
-        bins.frame, bins.polygon, bins.spare, bins.points, bins.rows,
-    )  # fmt: skip
+        corners,
+        scale,
+        lists,
+        first,
+        n,
+        count,
+        most,
+        bin_box,
+        bin_cut,
+        begins,
+        ends,
+        bins.frame,
+        bins.polygon,
+        bins.spare,
+        bins.points,
+        bins.rows,
+    )
     best, best_axis, best_at = limit, -1, 0
     if across == 0:
         return best_axis, np.float32(0)
@@ -348,9 +391,7 @@ def best_plane(measure, corners, scale, lists, first, n, slack, count, whole, li
     bounds, spans = bins.bounds, bins.spans
     for k in range(3):
         width = extent[k] / np.float32(count)
-        low, high = _reach_planes(
-            n, count, k, origin[k], width, k * most, bin_cut, begins, ends
-        )  # fmt: skip
+        low, high = _reach_planes(n, count, k, origin[k], width, k * most, bin_cut, begins, ends)
         bounds[k] = limit
         if low <= high:
             bounds[k], _, spans[k, 0], spans[k, 1] = _sweep_planes(
@@ -375,14 +416,39 @@ def best_plane(measure, corners, scale, lists, first, n, slack, count, whole, li
             break
         bounds[k] = np.inf
         _chop_all(
-            corners, scale, lists, across, count, most, k, spans[k, 0], spans[k, 1],
-            origin[k], extent[k], bin_cut, bins.frame,
-            bins.polygon, bins.spare, bins.points, bins.rows,
-        )  # fmt: skip
+            corners,
+            scale,
+            lists,
+            across,
+            count,
+            most,
+            k,
+            spans[k, 0],
+            spans[k, 1],
+            origin[k],
+            extent[k],
+            bin_cut,
+            bins.frame,
+            bins.polygon,
+            bins.spare,
+            bins.points,
+            bins.rows,
+        )
         cost, at, _, _ = _sweep_planes(
-            measure, n, slack, count, k * most, spans[k, 0], spans[k, 1], best,
-            bin_box, bin_cut, begins, ends, areas,
-        )  # fmt: skip
+            measure,
+            n,
+            slack,
+            count,
+            k * most,
+            spans[k, 0],
+            spans[k, 1],
+            best,
+            bin_box,
+            bin_cut,
+            begins,
+            ends,
+            areas,
+        )
         if at > 0:
             best, best_axis, best_at = cost, k, at
     if best_axis < 0:

@@ -79,8 +79,9 @@ def _reduce(measure, boxes, ids, begin, end, target, radius, near, left, right, 
 
 
 @njit
-def _cluster_in_groups(measure, boxes, ids, group, radius, near, tree_left, tree_right, left,
-                       right):  # fmt: skip
+def _cluster_in_groups(
+    measure, boxes, ids, group, radius, near, tree_left, tree_right, left, right
+):
     """Merge along the Morton tree, bottom-up, at most ``group`` clusters for each node."""
     n = len(ids)
     # Clusters of what has been gone through stand at the front; a node's begin where it began.
@@ -143,9 +144,17 @@ def ploc(triangles: Triangles, options: PlocOptions, context: Context) -> Draft:
     if options.group:
         tree_left, tree_right, _ = _radix_tree(codes, order)
         _cluster_in_groups(
-            measure, boxes, ids, options.group, options.radius, near, tree_left, tree_right,
-            left, right,
-        )  # fmt: skip
+            measure,
+            boxes,
+            ids,
+            options.group,
+            options.radius,
+            near,
+            tree_left,
+            tree_right,
+            left,
+            right,
+        )
     else:
         _reduce(measure, boxes, ids, 0, n, 1, options.radius, near, left, right, n)
     # Node 0 is the root, the last cluster made.

@@ -235,8 +235,10 @@ def reinsertion(triangles: Triangles, options: ReinsertionOptions, context: Cont
         for share in (options.share, options.share / 2):
             moves += _pass(measure, share, open_left, open_right, box)
     end = Draft(
-        start.references, np.where(closed, left, open_left), np.where(closed, right, open_right),
+        start.references,
+        np.where(closed, left, open_left),
+        np.where(closed, right, open_right),
         reference,
-    )  # fmt: skip
+    )
     report = {"start": options.start, "iterations": options.passes + 2, "moves": moves}
     return judged(measure, start, end, options, report)

@@ -112,9 +112,18 @@ def _best_cut(measure, corners, triangle, scale, boxes, row, halves, trial, poly
             if not low < plane < high:
                 continue
             found = split_reference(
-                corners, triangle, scale, boxes, row, axis, plane, trial[0], trial[1],
-                polygon, spare,
-            )  # fmt: skip
+                corners,
+                triangle,
+                scale,
+                boxes,
+                row,
+                axis,
+                plane,
+                trial[0],
+                trial[1],
+                polygon,
+                spare,
+            )
             if found != 3:
                 continue
             a, b = _measure_row(measure, trial[0]), _measure_row(measure, trial[1])
@@ -212,15 +221,19 @@ def _joint_measure(measure, boxes, a, b):
     """Measure of the box around two references."""
     return of_corners(
         measure,
-        min(boxes[a, 0], boxes[b, 0]), min(boxes[a, 1], boxes[b, 1]),
-        min(boxes[a, 2], boxes[b, 2]), -min(boxes[a, 4], boxes[b, 4]),
-        -min(boxes[a, 5], boxes[b, 5]), -min(boxes[a, 6], boxes[b, 6]),
-    )  # fmt: skip
+        min(boxes[a, 0], boxes[b, 0]),
+        min(boxes[a, 1], boxes[b, 1]),
+        min(boxes[a, 2], boxes[b, 2]),
+        -min(boxes[a, 4], boxes[b, 4]),
+        -min(boxes[a, 5], boxes[b, 5]),
+        -min(boxes[a, 6], boxes[b, 6]),
+    )
 
 
 @njit
-def _merge_some(measure, boxes, triangle, rows, up, entry_of, order, starts, free, heap, rules,
-                tally):  # fmt: skip
+def _merge_some(
+    measure, boxes, triangle, rows, up, entry_of, order, starts, free, heap, rules, tally
+):
     """Try to merge references of each triangle.
 
     ``order`` are references by triangle, those of the i-th from ``starts[i]`` on; otherwise as
@@ -336,8 +349,9 @@ class Rules:
 class Resplitter:
     """A tree whose references are split and merged."""
 
-    def __init__(self, triangles: Triangles, start: Draft, options: Options, measure: Any,
-                 rules: Rules) -> None:  # fmt: skip
+    def __init__(
+        self, triangles: Triangles, start: Draft, options: Options, measure: Any, rules: Rules
+    ) -> None:
         refs = start.references
         n = len(refs)
         self.most = max(n, int((1.0 + rules.budget) * len(triangles)))
@@ -369,10 +383,20 @@ class Resplitter:
         order = order[values[order] >= 0].astype(np.int32)
         for begin in range(0, len(order), _CHUNK):
             _split_some(
-                self.measure, self.triangles.corners, self.scale, self.boxes, self.triangle,
-                self.rows, self.up, self.entry_of, order[begin : begin + _CHUNK], self.free,
-                self.heap, self.rules, self.tally,
-            )  # fmt: skip
+                self.measure,
+                self.triangles.corners,
+                self.scale,
+                self.boxes,
+                self.triangle,
+                self.rows,
+                self.up,
+                self.entry_of,
+                order[begin : begin + _CHUNK],
+                self.free,
+                self.heap,
+                self.rules,
+                self.tally,
+            )
             context.progress("splitting references", begin / len(order))
         return int(self.tally[3] - before)
 
@@ -388,10 +412,19 @@ class Resplitter:
         starts = np.append(starts, len(order))
         for begin in range(0, len(starts) - 1, _CHUNK):
             _merge_some(
-                self.measure, self.boxes, self.triangle, self.rows, self.up, self.entry_of,
-                order, starts[begin : begin + _CHUNK + 1], self.free, self.heap, self.rules,
+                self.measure,
+                self.boxes,
+                self.triangle,
+                self.rows,
+                self.up,
+                self.entry_of,
+                order,
+                starts[begin : begin + _CHUNK + 1],
+                self.free,
+                self.heap,
+                self.rules,
                 self.tally,
-            )  # fmt: skip
+            )
             context.progress("merging references", begin / len(starts))
         return int(before - self.tally[2])
 

@@ -72,9 +72,13 @@ def _union_area(measure, box, a, b):
     if measure is not None:
         return of_corners(
             measure,
-            min(box[a, 0], box[b, 0]), min(box[a, 1], box[b, 1]), min(box[a, 2], box[b, 2]),
-            max(box[a, 3], box[b, 3]), max(box[a, 4], box[b, 4]), max(box[a, 5], box[b, 5]),
-        )  # fmt: skip
+            min(box[a, 0], box[b, 0]),
+            min(box[a, 1], box[b, 1]),
+            min(box[a, 2], box[b, 2]),
+            max(box[a, 3], box[b, 3]),
+            max(box[a, 4], box[b, 4]),
+            max(box[a, 5], box[b, 5]),
+        )
     x = np.float64(max(box[a, 3], box[b, 3])) - np.float64(min(box[a, 0], box[b, 0]))
     y = np.float64(max(box[a, 4], box[b, 4])) - np.float64(min(box[a, 1], box[b, 1]))
     z = np.float64(max(box[a, 5], box[b, 5])) - np.float64(min(box[a, 2], box[b, 2]))

@@ -136,9 +136,18 @@ def _cut_all(corners, scale, lists, across, axis, plane, rows, side, parts, halv
     for i in range(across):
         row = np.int64(rows[i])
         found = split_reference(
-            corners, ids[row, 7] - ID_ZERO, scale, lists, row, axis, plane,
-            parts[0, both], parts[1, both], polygon, spare,
-        )  # fmt: skip
+            corners,
+            ids[row, 7] - ID_ZERO,
+            scale,
+            lists,
+            row,
+            axis,
+            plane,
+            parts[0, both],
+            parts[1, both],
+            polygon,
+            spare,
+        )
         if found == 3:
             widen(halves, 0, load(parts[0], both))
             widen(halves, 1, load(parts[1], both))
@@ -366,9 +375,22 @@ def _split_node(measure, corners, scale, rules, lists, side, areas, task, childr
             left_may, right_may = False, False
         if plane_axis >= 0:
             cut_left, cut_right, added = _spatial_split(
-                measure, corners, scale, lists, source, n, slack, first_id, plane_axis, plane, cost,
-                side, parts, halves, bins,
-            )  # fmt: skip
+                measure,
+                corners,
+                scale,
+                lists,
+                source,
+                n,
+                slack,
+                first_id,
+                plane_axis,
+                plane,
+                cost,
+                side,
+                parts,
+                halves,
+                bins,
+            )
             if cut_left > 0:
                 tally[1] += 1
                 n_left, n_right = cut_left, cut_right
@@ -387,9 +409,15 @@ def _split_node(measure, corners, scale, rules, lists, side, areas, task, childr
         )
     else:
         part(
-            lists, np.uint64(source), np.uint64(target), np.uint64(target + behind),
-            np.uint64(total), np.uint64(n), axis, np.uint64(at),
-        )  # fmt: skip
+            lists,
+            np.uint64(source),
+            np.uint64(target),
+            np.uint64(target + behind),
+            np.uint64(total),
+            np.uint64(n),
+            axis,
+            np.uint64(at),
+        )
     a = 0 if behind > n_right + room - left_room else 1
     b = 1 - a
     children[a, 0], children[b, 0] = begin, begin + behind

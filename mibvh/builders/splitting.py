@@ -322,9 +322,18 @@ def _split_all(corners, scale, boxes, triangle, priorities, factor, origin, exte
     for block in numba.prange(len(ends)):
         first, last = block * _BLOCK, min((block + 1) * _BLOCK, n)
         ends[block] = _split_block(
-            corners, scale, boxes, triangle, priorities, factor, origin, extent,
-            first, last, starts[block],
-        )  # fmt: skip
+            corners,
+            scale,
+            boxes,
+            triangle,
+            priorities,
+            factor,
+            origin,
+            extent,
+            first,
+            last,
+            starts[block],
+        )
     used = n
     for block in range(len(ends)):
         for row in range(starts[block], ends[block]):
@@ -439,8 +448,9 @@ def as_boxes(references: References) -> Triangles:
     Builders that split no triangles look at nothing but boxes, so they build over references
     when they are given these.
     """
-    lower, upper = (corner / np.float32(references.scale) for corner in
-                    (references.lower, references.upper))  # fmt: skip
+    lower, upper = (
+        corner / np.float32(references.scale) for corner in (references.lower, references.upper)
+    )
     return Triangles(np.stack([lower, upper, lower], axis=1), "parts of triangles")
 
 

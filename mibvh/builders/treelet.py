@@ -281,9 +281,14 @@ def _solve(size, owner, c_inner, c_tri, max_leaf, measure, s_box, s_count, s_aga
         if measure is not None:
             for i in range(_LANES):
                 s_cost[s, i] = of_corners(
-                    measure, s_box[s, 0, i], s_box[s, 1, i], s_box[s, 2, i],
-                    s_box[s, 3, i], s_box[s, 4, i], s_box[s, 5, i],
-                )  # fmt: skip
+                    measure,
+                    s_box[s, 0, i],
+                    s_box[s, 1, i],
+                    s_box[s, 2, i],
+                    s_box[s, 3, i],
+                    s_box[s, 4, i],
+                    s_box[s, 5, i],
+                )
             area = lanes.load(s_cost, s)
         count = lanes.add(lanes.load(s_count, low), lanes.load(s_count, rest))
         lanes.store(s_count, s, count)

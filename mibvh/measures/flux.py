@@ -105,9 +105,15 @@ class Flux:
         inverse = np.nextafter(inverse, np.float32(np.inf))  # a plane is all the way to itself
         whole = box_area(self.bounds * scale)
         return FluxTables(
-            self._table, planes.reshape(-1), inverse.reshape(-1), cells, lookup, planes.shape[1],
-            float(self.area_weight), whole / len(self.rays),
-        )  # fmt: skip
+            self._table,
+            planes.reshape(-1),
+            inverse.reshape(-1),
+            cells,
+            lookup,
+            planes.shape[1],
+            float(self.area_weight),
+            whole / len(self.rays),
+        )
 
 
 def _lengthened(row: F32, count: int) -> F32:

@@ -64,8 +64,9 @@ def _hit(corners, triangle, o, d, t):
 
 
 @njit
-def _walk(begin, end, lower, upper, left, first, count, references, corners, o, d, tmax, out,
-          visits):  # fmt: skip
+def _walk(
+    begin, end, lower, upper, left, first, count, references, corners, o, d, tmax, out, visits
+):
     """Trace rays; ``out`` gets distances (inf: none), ``visits`` inner nodes and triangles."""
     stack = np.empty(MAX_DEPTH + 1, np.int32)
     inverse = np.empty(3, np.float64)
@@ -122,10 +123,19 @@ def walk(
     """
     t, visits = np.empty(len(o), np.float64), np.zeros((len(o), 2), np.int32)
     arrays = (
-        tree.lower, tree.upper, tree.left, tree.first, tree.count, tree.references,
-        triangles.corners, np.ascontiguousarray(o, np.float64),
-        np.ascontiguousarray(d, np.float64), np.ascontiguousarray(tmax, np.float64), t, visits,
-    )  # fmt: skip
+        tree.lower,
+        tree.upper,
+        tree.left,
+        tree.first,
+        tree.count,
+        tree.references,
+        triangles.corners,
+        np.ascontiguousarray(o, np.float64),
+        np.ascontiguousarray(d, np.float64),
+        np.ascontiguousarray(tmax, np.float64),
+        t,
+        visits,
+    )
     run_blocks(lambda _, begin, end: _walk(begin, end, *arrays), len(o), _BLOCK)
     return t, visits
 

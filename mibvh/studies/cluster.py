@@ -88,10 +88,17 @@ def study_on_cluster(
             client.subscribe_topic(topic, lambda event: listener(Progress(*event[1])))
             # A key of its own each time: asking again must not bring back an old failure.
             futures = [
-                client.submit(_study_one, name, options, topic, source.given(),
-                              key=f"{name}-{topic}", resources={RESOURCE: 1})
+                client.submit(
+                    _study_one,
+                    name,
+                    options,
+                    topic,
+                    source.given(),
+                    key=f"{name}-{topic}",
+                    resources={RESOURCE: 1},
+                )
                 for name, source in zip(named, sources, strict=True)
-            ]  # fmt: skip
+            ]
             for name, future in zip(named, futures, strict=True):
                 try:
                     yield SceneRecord.from_json(_result(client, future, name, address))

@@ -93,9 +93,17 @@ def wide_rows(tree: WideTree, shapes: F32, scale: np.float32) -> tuple[F32, U32,
     """
     span = 1 if tree.quantised else SPAN[tree.width]
     rows, order, ok = _emit(
-        tree.lower * scale, tree.upper * scale, tree.child, tree.children, tree.first, tree.count,
-        tree.width, tree.quantised, span, shapes,
-    )  # fmt: skip
+        tree.lower * scale,
+        tree.upper * scale,
+        tree.child,
+        tree.children,
+        tree.first,
+        tree.count,
+        tree.width,
+        tree.quantised,
+        span,
+        shapes,
+    )
     if not ok:
         raise MibvhError("the wide tree's 8-bit boxes are too large or too fine for its triangles")
     return rows, order, int(tree.child[0] >= 0)
@@ -140,9 +148,13 @@ def _emit(lower, upper, child, children, first, count, width, small, span, shape
             ok &= _small_node(rows[row], word, place, lower[group], upper[group], finest)
         else:
             _plain_node(
-                rows[row : row + span].reshape(-1), word, order[row], lower[group], upper[group],
+                rows[row : row + span].reshape(-1),
+                word,
+                order[row],
+                lower[group],
+                upper[group],
                 width,
-            )  # fmt: skip
+            )
         for i in range(children[node] - 1, -1, -1):
             at = end + place[i] + (span - 1) * min(place[i], inner)
             stack[top, 0], stack[top, 1] = child[node] + i, at

@@ -87,9 +87,16 @@ def walk_wide_tree(
     counts = np.zeros((len(rays), 4), np.uint32)
     t, hit = np.empty(len(rays), np.float32), np.empty(len(rays), np.int32)
     arrays = (
-        tree.lower * scale, tree.upper * scale, tree.child, tree.children, tree.first, tree.count,
-        tree.references, triangles.corners * scale, tree.quantised,
-    )  # fmt: skip
+        tree.lower * scale,
+        tree.upper * scale,
+        tree.child,
+        tree.children,
+        tree.first,
+        tree.count,
+        tree.references,
+        triangles.corners * scale,
+        tree.quantised,
+    )
     stored = any_hit and bool(tree.meta.get("ordered"))
     starts = np.zeros(len(rays) + 1, np.int64)
     told = np.empty(0, np.int32)

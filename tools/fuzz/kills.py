@@ -41,8 +41,12 @@ class Kills:
     def _begin(self, folder: Path, seconds: float) -> bool:
         """Study for so long; return whether it came to its end."""
         given = json.dumps([SCENE, str(folder), CHOICES])
-        with subprocess.Popen([sys.executable, "-c", PROGRAM, given], stdout=subprocess.PIPE,
-                              stderr=subprocess.PIPE, text=True) as process:  # fmt: skip
+        with subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, given],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as process:
             try:
                 _, said = process.communicate(timeout=min(seconds, 600.0))
             except subprocess.TimeoutExpired:

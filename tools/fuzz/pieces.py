@@ -20,9 +20,13 @@ from mibvh.studies.run import remake_report
 from tools.fuzz.mutate import VALUES, Random, damaged
 
 CHOICES: Any = {
-    "builders": ("lbvh", "bbvh"), "width": 12, "height": 8, "scalar_rays": 64,
-    "seconds": 0.0, "seed": 3,
-}  # fmt: skip
+    "builders": ("lbvh", "bbvh"),
+    "width": 12,
+    "height": 8,
+    "scalar_rays": 64,
+    "seconds": 0.0,
+    "seed": 3,
+}
 SCENE = "cornell@300"
 #: Names that would lead out of the folder, or mean something to whoever reads a table.
 NAMES = ["../../gone", "/tmp/mibvh-fuzz-gone", "..", "", "=1+1", "<b>", "$x$", "a|b\n", "é" * 300]
@@ -80,8 +84,15 @@ class Pieces:
 def known(study: Any) -> str:
     """What of a study's figures is the same in every run: all that are no times."""
     table = study.table
-    return str(table[[c for c in table if "ns" not in str(c) and "error" not in str(c)
-                      and "seconds" not in str(c)]].to_csv())  # fmt: skip
+    return str(
+        table[
+            [
+                c
+                for c in table
+                if "ns" not in str(c) and "error" not in str(c) and "seconds" not in str(c)
+            ]
+        ].to_csv()
+    )
 
 
 def replace(path: Path, rng: Random) -> None:

@@ -41,9 +41,14 @@ class Soups:
         lower, upper = triangles.corners.min((0, 1)), triangles.corners.max((0, 1))
         place = lower + rays.o * (upper - lower).max()
         rays = mibvh.RaySet(
-            place.astype(np.float32), rays.d, rays.tmax, rays.viewpoint, rays.bounce,
-            np.full(RAYS, -1, np.int32), rays.meta,
-        )  # fmt: skip
+            place.astype(np.float32),
+            rays.d,
+            rays.tmax,
+            rays.viewpoint,
+            rays.bounce,
+            np.full(RAYS, -1, np.int32),
+            rays.meta,
+        )
         hits = mibvh.trace(tree, triangles, rays, style=style, repeats=1)
         every = mibvh.trace(flat_tree(triangles), triangles, rays, repeats=1)
         same(f"hits of {builder}, {style}, on {kind}", hits.t, every.t)

@@ -133,8 +133,15 @@ class Store:
             held = json.loads(path.read_text(encoding="utf-8"))
             sound = held["checksum"] == _checksum(held["value"])
             seconds = float("nan") if held.get("seconds") is None else float(held["seconds"])
-        except (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError,
-                RecursionError):  # fmt: skip
+        except (
+            OSError,
+            ValueError,
+            LookupError,
+            TypeError,
+            AttributeError,
+            OverflowError,
+            RecursionError,
+        ):
             return None, float("nan")
         return (held["value"], seconds) if sound else (None, float("nan"))
 

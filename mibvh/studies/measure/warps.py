@@ -101,12 +101,14 @@ class WarpCounter:
         warps = simulate(tree, self.triangles, self.rays, self.rules.width, self.rules.style)
         scalar = simulate(tree, self.triangles, self.rays, 1, "single")
         cost, alone = warps.cost(*costs), scalar.cost(*costs)
-        return WarpCosts({
-            "warp_cost": cost,
-            "warp_scalar_cost": alone,
-            "warp_overhead": cost / alone if alone else float("nan"),
-            "warp_utilisation": warps.utilisation(*costs),
-        })  # fmt: skip
+        return WarpCosts(
+            {
+                "warp_cost": cost,
+                "warp_scalar_cost": alone,
+                "warp_overhead": cost / alone if alone else float("nan"),
+                "warp_utilisation": warps.utilisation(*costs),
+            }
+        )
 
 
 def _costs(tree: Tree) -> tuple[float, float]:

@@ -106,6 +106,15 @@ def paper_comparison(records: Records, found: pd.DataFrame) -> pd.DataFrame:
                 "paper_alpha": known.alpha,
             }
         )
-    names = ["scene", "triangles", "expected", "r_sah", "paper_r_sah", "r_sah_epo",
-             "paper_r_sah_epo", "alpha", "paper_alpha"]  # fmt: skip
+    names = [
+        "scene",
+        "triangles",
+        "expected",
+        "r_sah",
+        "paper_r_sah",
+        "r_sah_epo",
+        "paper_r_sah_epo",
+        "alpha",
+        "paper_alpha",
+    ]
     return pd.DataFrame(rows, columns=names)

@@ -164,8 +164,12 @@ def _bars(scenes: int) -> Any:
     from rich.progress import BarColumn, Progress, TextColumn
 
     bars = Progress(
-        TextColumn("{task.description:<36}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"),
-        TextColumn("{task.fields[left]}"), console=Console(stderr=True), transient=True,
-    )  # fmt: skip
+        TextColumn("{task.description:<36}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TextColumn("{task.fields[left]}"),
+        console=Console(stderr=True),
+        transient=True,
+    )
     bars.add_task(f"study: 0 of {scenes} scenes", total=float(scenes), left="")
     return bars
