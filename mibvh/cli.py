@@ -281,13 +281,17 @@ def optimize_command(
     loaded = _load(scene, define)
     with _progress() as bar:
         task = bar.add_task("optimize", total=1.0)
-        found = optimize(loaded, progress=_show(bar, task), **options)
-    found.tree.save(output)
+        optimized = optimize(loaded, progress=_show(bar, task), **options)
+    optimized.tree.save(output)
     if as_json:
-        result = {"builder": found.tree.meta["builder"], "costs": found.costs, "rays": found.rays}
-        _print({**result, "report": found.tree.meta["report"]}, True)
+        result = {
+            "builder": optimized.tree.meta["builder"],
+            "costs": optimized.costs,
+            "rays": optimized.rays,
+        }
+        _print({**result, "report": optimized.tree.meta["report"]}, True)
         return
-    typer.echo(f"{output}: {found.sentence()}")
+    typer.echo(f"{output}: {optimized.sentence()}")
 
 
 @app.command()
@@ -352,38 +356,38 @@ def compare_command(
         raise MibvhError(f"{output}: the picture is a .png file in a folder that is there")
     asked = read_rays(rays) if rays else None
     loaded = _load(scene, define)
-    found = compare(loaded, first, second, rays=asked)
+    compared = compare(loaded, first, second, rays=asked)
     if output is not None:
-        figure = difference_figure(loaded, found, sensor)
+        figure = difference_figure(loaded, compared, sensor)
         with atomic_path(output) as path:
             figure.savefig(path, format="png", dpi=120, facecolor="white")
     if as_json:
-        typer.echo(json.dumps(found.to_json()))
+        typer.echo(json.dumps(compared.to_json()))
     else:
-        _print_comparison(found)
+        _print_comparison(compared)
 
 
-def _print_comparison(found: Any) -> None:
+def _print_comparison(compared: Any) -> None:
     console = Console()
-    table = Table("", *(escape(name) for name in found.names), "B over A", box=None)
-    for name, (a, b) in found.figures.items():
+    table = Table("", *(escape(name) for name in compared.names), "B over A", box=None)
+    for name, (a, b) in compared.figures.items():
         table.add_row(name, f"{a:.6g}", f"{b:.6g}", f"{b / a:.3f}" if a else "–")
     console.print(table)
     table = Table("depth", "SAH: A", "B", "EPO: A", "B", box=None)
-    for level in found.by_depth:
+    for level in compared.by_depth:
         table.add_row(str(level.depth), *(f"{v:.3g}" for v in (*level.sah, *level.epo)))
     console.print(table)
     table = Table("of the rays", "cost in B less cost in A", box=None)
-    for share, value in found.quantiles.items():
+    for share, value in compared.quantiles.items():
         table.add_row(f"{share:.0%}", f"{value:+.4g}")
     console.print(table)
-    shares = found.shares
+    shares = compared.shares
     console.print(
         f"{shares['cheaper']:.1%} of the rays are cheaper in B, {shares['dearer']:.1%} dearer, "
         f"{shares['same']:.1%} cost the same"
     )
     table = Table("bounce", "viewpoint", "rays", "cost in A", "in B", box=None)
-    for one in found.by_origin:
+    for one in compared.by_origin:
         costs = (f"{value:.4g}" for value in one.cost)
         table.add_row(str(one.bounce), str(one.viewpoint), f"{one.rays:,}", *costs)
     console.print(table)
@@ -435,7 +439,7 @@ def audit_command(
     loaded = _load(scene, define)
     with _progress() as bar:
         task = bar.add_task("audit", total=1.0)
-        found = audit(
+        audited = audit(
             loaded,
             Tree.load(tree),
             RaySet.load(rays) if rays else None,
@@ -443,19 +447,19 @@ def audit_command(
             progress=_show(bar, task),
         )
     if as_json:
-        typer.echo(json.dumps({**dataclasses.asdict(found), "passed": found.passed}))
+        typer.echo(json.dumps({**dataclasses.asdict(audited), "passed": audited.passed}))
     else:
-        _print_audit(found)
-    if not found.passed:
+        _print_audit(audited)
+    if not audited.passed:
         raise typer.Exit(AUDIT_FAILED)
 
 
-def _print_audit(found: Any) -> None:
+def _print_audit(audited: Any) -> None:
     """Print the checks as a table, failures in red."""
     table = Table(box=None)
     for heading in ("check", "", "value", "expected", "within", "compared"):
         table.add_column(heading)
-    for check in found.checks:
+    for check in audited.checks:
         table.add_row(
             check.name,
             "passed" if check.passed else "FAILED",
@@ -498,12 +502,12 @@ def rays(
         task = bar.add_task("rays", total=1.0)
         how["progress"] = lambda done: bar.update(task, completed=done)
         if kind == "diffuse":
-            found = diffuse_rays(loaded, bounces=bounces, **how)
+            made = diffuse_rays(loaded, bounces=bounces, **how)
         else:
-            found = make_rays(loaded, kind, **how)
-    found.save(output)
-    per_bounce = {int(b): int((found.bounce == b).sum()) for b in sorted(set(found.bounce))}
-    _print({"rays": len(found), **found.meta, "rays_per_bounce": per_bounce}, as_json)
+            made = make_rays(loaded, kind, **how)
+    made.save(output)
+    per_bounce = {int(b): int((made.bounce == b).sum()) for b in sorted(set(made.bounce))}
+    _print({"rays": len(made), **made.meta, "rays_per_bounce": per_bounce}, as_json)
 
 
 @app.command()
@@ -736,8 +740,8 @@ def report(
     from mibvh.studies.run import remake_report
 
     with _doing("writing the report"):
-        found = remake_report(folder)
-    _print({"report": str(found.report), "scenes": len(found.scenes)}, as_json)
+        remade = remake_report(folder)
+    _print({"report": str(remade.report), "scenes": len(remade.scenes)}, as_json)
 
 
 @app.command()
@@ -803,15 +807,15 @@ def doctor(as_json: Json = False) -> None:
     """Tell what this machine has, and what to install."""
     from mibvh.environment import doctor as look
 
-    found = look()
+    state = look()
     if as_json:
-        typer.echo(json.dumps(found))
+        typer.echo(json.dumps(state))
     else:
-        environment = found.pop("environment", {})
+        environment = state.pop("environment", {})
         _print(
-            {**found, "advice": "; ".join(found["advice"]) or "none needed", **environment}, False
+            {**state, "advice": "; ".join(state["advice"]) or "none needed", **environment}, False
         )
-    if not found["ready"]:
+    if not state["ready"]:
         raise typer.Exit(2)
 
 

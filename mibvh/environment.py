@@ -70,10 +70,10 @@ def doctor() -> dict[str, Any]:
     import drjit as dr
 
     llvm, cuda = dr.has_backend(dr.JitBackend.LLVM), dr.has_backend(dr.JitBackend.CUDA)
-    found: dict[str, Any] = {"ready": llvm or cuda, "llvm": llvm, "cuda": cuda, "advice": []}
+    state: dict[str, Any] = {"ready": llvm or cuda, "llvm": llvm, "cuda": cuda, "advice": []}
     try:
-        found["environment"] = environment()
+        state["environment"] = environment()
     except MibvhError as error:
-        found["ready"] = False
-        found["advice"].append(str(error))
-    return found
+        state["ready"] = False
+        state["advice"].append(str(error))
+    return state

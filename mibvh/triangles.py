@@ -119,7 +119,7 @@ def rotation_about(axis: tuple[float, float, float], degrees: float) -> F64:
     Parameters
     ----------
     axis : (3,) float
-        Need not have unit length. The paper turns its scenes about (1, 1, 1).
+        Need not have unit length. The paper rotates its scenes about (1, 1, 1).
     degrees : float
         The paper uses 45.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import re
+import warnings
 from typing import Any
 
 from mibvh.errors import MibvhError
@@ -69,11 +70,17 @@ def _hint(variant: str) -> str:
     return LLVM_HINT if variant.startswith("llvm") else "an NVIDIA driver is needed"
 
 
-def give_back_memory() -> None:
-    """Return to the system what Dr.Jit keeps of freed arrays for those to come."""
+def release_memory() -> None:
+    """Release to the system the memory of freed arrays that Dr.Jit keeps for new ones."""
     import drjit as dr
 
     dr.flush_malloc_cache()
+
+
+def give_back_memory() -> None:
+    """The former name of :func:`release_memory`."""
+    warnings.warn("give_back_memory is now called release_memory", DeprecationWarning, stacklevel=2)
+    release_memory()
 
 
 @functools.cache

@@ -261,7 +261,7 @@ def test_user_builder_that_loses_triangles_is_refused():
         return Draft.from_nested(np.arange(9), Triangles(triangles.corners[:9]))
 
     try:
-        with pytest.raises(MibvhError, match="builder test-loser made no sound tree: "):
+        with pytest.raises(MibvhError, match="builder test-loser made an invalid tree: "):
             build(Triangles(room(10)), "test-loser")
     finally:
         mibvh.builders.registry._registered.pop("test-loser")

@@ -188,7 +188,7 @@ def test_a_builder_that_returns_a_finished_tree_keeps_it(scene, mine, register):
     with pytest.raises(mibvh.MibvhError, match="nothing starts from those"):
         mibvh.build(scene, "hill", start="finisher")
     register("liar", lambda triangles, options, context: imported(soup(1000)))
-    with pytest.raises(mibvh.MibvhError, match="made no sound tree"):
+    with pytest.raises(mibvh.MibvhError, match="made an invalid tree"):
         mibvh.build(scene, "liar")
 
 

@@ -124,9 +124,9 @@ def training_rays(
         return (o, d, tmax, viewpoint), f"rays of {options.rays}"
     trace = getattr(context.source, "few_rays", None)
     if trace is not None:
-        found = trace(options.count, options.seed)
-        said = f"diffuse rays of {len(np.unique(found.viewpoint))} viewpoints"
-        return (found.o, found.d, found.tmax, found.viewpoint), said
+        rays = trace(options.count, options.seed)
+        said = f"diffuse rays of {len(np.unique(rays.viewpoint))} viewpoints"
+        return (rays.o, rays.d, rays.tmax, rays.viewpoint), said
     said = (
         "rays between surfaces, as there is no scene with cameras: worth hardly more than the "
         "area; hand the scene to the build"

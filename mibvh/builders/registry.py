@@ -155,10 +155,10 @@ class Builder:
         MibvhError
             If it returns a finished tree, which has no draft.
         """
-        found = self.run(triangles, options, context)
-        if isinstance(found, Tree):
+        made = self.run(triangles, options, context)
+        if isinstance(made, Tree):
             raise MibvhError(f"builder {self.name} makes finished trees; nothing starts from those")
-        return found
+        return made
 
     def run(self, triangles: Any, options: Options, context: Context) -> Draft | Tree:
         """Return the builder's draft, or the tree of one that finishes its own."""
@@ -372,7 +372,7 @@ def build(
     ------
     MibvhError
         For an unknown builder or an impossible option, or where a builder of the user's own made
-        no sound tree.
+        an invalid tree.
     """
     source, triangles = triangles, as_triangles(triangles)
     entry = get(builder)
@@ -415,6 +415,6 @@ def build(
         )
     meta = {**tree.meta, "build_seconds": time.perf_counter() - started + spared() - before}
     # The tests see to it that the paper's builders make sound trees.
-    if builder not in _BUNDLED and (found := tree.validate(triangles)):
-        raise MibvhError(f"builder {builder} made no sound tree: {'; '.join(found)}")
+    if builder not in _BUNDLED and (violations := tree.validate(triangles)):
+        raise MibvhError(f"builder {builder} made an invalid tree: {'; '.join(violations)}")
     return tree.replace(meta=meta)

@@ -224,8 +224,8 @@ def reinsertion(triangles: Triangles, options: ReinsertionOptions, context: Cont
         moves += _pass(measure, options.share / (2 * n + 1), left, right, box)
         context.progress("reinserting", (n + 1) / (options.passes + 2))
     # What will be one leaf is one from here on.
-    found = Draft(start.references, left, right, reference)
-    left, right, reference, count, box = depth_first(found)
+    improved = Draft(start.references, left, right, reference)
+    left, right, reference, count, box = depth_first(improved)
     costs = options.c_inner, options.c_tri, options.max_leaf, measure
     least = subtree_costs(left, right, box, count, *costs)
     as_leaf = options.c_tri * count * _costs(measure, box)

@@ -297,14 +297,14 @@ def climb(
     stack = np.zeros(len(left) + 2, np.int32)
     sweeps = rotations = 0
     while sweeps < most and len(left) > 1:
-        stack[0], top, turned = 0, 1, 0
+        stack[0], top, rotated = 0, 1, 0
         while top > 0:
             top, done = _hill_chunk(measure, left, right, box, state, stack, top, _CHUNK)
-            turned += done
+            rotated += done
             context.progress("hill climbing", 1.0 - 1.0 / (sweeps + 2))
         sweeps += 1
-        rotations += turned
-        if turned == 0:
+        rotations += rotated
+        if rotated == 0:
             break
     context.progress("hill climbing", 1.0)
     return sweeps, rotations
@@ -403,8 +403,8 @@ def anneal(triangles: Triangles, options: AnnealOptions, context: Context) -> Dr
         if area < best:
             best = area
             best_left[:], best_right[:] = left, right
-    found = Draft(start.references, best_left, best_right, reference)
-    left, right, reference, _, box = depth_first(found)
+    best_draft = Draft(start.references, best_left, best_right, reference)
+    left, right, reference, _, box = depth_first(best_draft)
     sweeps, rotations = climb(measure, left, right, box, HillOptions.sweeps, context)
     end = Draft(start.references, left, right, reference)
     scale = options.c_inner * mean / box_area(measure, box, 0) if area > 0 else 0.0

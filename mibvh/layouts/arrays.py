@@ -14,7 +14,7 @@ from mibvh.nodes import Nodes
 I64 = npt.NDArray[np.int64]
 
 #: What :func:`_renumber` may find, by the number that it returns.
-_FAULTS = {
+_VIOLATIONS = {
     1: "node {node} has the children {left} and {right}, which are not among the {nodes} nodes",
     2: "node {node} is reached twice: it is the child of two nodes, or its own ancestor",
     3: "leaf {node} has no references (count = {count})",
@@ -48,12 +48,12 @@ def renumbered(
     start = _root(left, right, nodes) if root is None else int(root)
     if not 0 <= start < nodes:
         raise MibvhError(f"the root, {start}, is not among the {nodes} nodes")
-    fault, n, order, child, starts, counts, taken = _renumber(
+    violation, n, order, child, starts, counts, taken = _renumber(
         left, right, first, count, len(ids), start
     )
-    if fault:
+    if violation:
         raise MibvhError(
-            _FAULTS[fault].format(
+            _VIOLATIONS[violation].format(
                 node=n,
                 left=left[n],
                 right=right[n],
@@ -63,11 +63,11 @@ def renumbered(
                 references=len(ids),
             )
         )
-    found = ids[taken]
+    given = ids[taken]
     meta = {"builder": name, "options": {}, "c_inner": 1.2, "c_tri": 1.0, "report": {}}
-    if triangles := _dense(found):
+    if triangles := _dense(given):
         meta["triangles"] = triangles
-    return lower[order], upper[order], child, starts, counts, found, meta
+    return lower[order], upper[order], child, starts, counts, given, meta
 
 
 def to_arrays(tree: Nodes) -> dict[str, npt.NDArray[Any]]:
@@ -162,8 +162,8 @@ def _dense(ids: npt.NDArray[np.int32]) -> int | None:
 def _renumber(left, right, first, count, references, root):
     """Order the nodes: parents first, siblings side by side, left subtrees before right ones.
 
-    Returns a fault and its node, the old number of each node, the new first child or -1, ranges
-    of whole subtrees, and where each reference stood.
+    Returns a violation (0: none) and its node, the old number of each node, the new first child
+    or -1, ranges of whole subtrees, and where each reference stood.
     """
     nodes = len(left)
     order = np.empty(nodes, np.int64)
@@ -171,19 +171,19 @@ def _renumber(left, right, first, count, references, root):
     taken = np.empty(references, np.int64)
     seen = np.zeros(nodes, np.bool_)
     stack = np.empty(nodes + 1, np.int64)
-    order[0], stack[0], top, used, written, fault, at = root, 0, 1, 1, 0, 0, 0
+    order[0], stack[0], top, used, written, violation, at = root, 0, 1, 1, 0, 0, 0
     seen[root] = True
-    while top > 0 and fault == 0:
+    while top > 0 and violation == 0:
         top -= 1
         place = stack[top]
         n = at = order[place]
         if left[n] < 0:
             if count[n] < 1:
-                fault = 3
+                violation = 3
             elif first[n] < 0 or count[n] > references or first[n] + count[n] > references:
-                fault = 4
+                violation = 4
             elif written + count[n] > references:
-                fault = 5
+                violation = 5
             else:
                 starts[place], counts[place] = written, count[n]
                 for i in range(count[n]):
@@ -192,21 +192,21 @@ def _renumber(left, right, first, count, references, root):
             continue
         a, b = left[n], right[n]
         if a >= nodes or b < 0 or b >= nodes:
-            fault = 1
+            violation = 1
         elif a == b or seen[a] or seen[b]:
-            fault, at = 2, a if seen[a] or a == b else b
+            violation, at = 2, a if seen[a] or a == b else b
         else:
             seen[a] = seen[b] = True
             order[used], order[used + 1], child[place] = a, b, used
             stack[top], stack[top + 1] = used + 1, used
             used, top = used + 2, top + 2
-    if fault == 0:
+    if violation == 0:
         for place in range(used - 1, -1, -1):
             c = child[place]
             if c >= 0:
                 starts[place], counts[place] = starts[c], counts[c] + counts[c + 1]
     return (
-        fault,
+        violation,
         at,
         order[:used],
         child[:used].copy(),

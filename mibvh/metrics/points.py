@@ -11,6 +11,7 @@ import statistics
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
@@ -137,29 +138,7 @@ def point_costs(tree: Tree | WideTree, triangles: Any, points: F64, ids: I32) ->
     ids = ids.astype(np.int32)
     starts, positions = triangle_positions(tree, len(triangles))
     tree = as_binary(tree)
-    costs = node_costs(tree)
-    out = np.zeros((len(points), 2))
-
-    def work(_worker: int, begin: int, end: int) -> None:
-        _query(
-            begin,
-            end,
-            points,
-            ids,
-            starts,
-            positions,
-            tree.lower,
-            tree.upper,
-            tree.left,
-            tree.first,
-            tree.count,
-            tree.depth,
-            costs,
-            out,
-        )
-
-    run_blocks(work, len(points), _BLOCK)
-    return out
+    return _sums(tree, points, ids, starts, positions, node_costs(tree))
 
 
 def weight_at(tree: Tree | WideTree, points: F64, weights: F64) -> F64:
@@ -183,14 +162,21 @@ def weight_at(tree: Tree | WideTree, points: F64, weights: F64) -> F64:
         weights = tree.spread(weights)
     # A point that belongs to a triangle without references has foreign nodes only.
     nobody, starts = np.zeros(len(points), np.int32), np.zeros(2, np.int64)
-    positions, out = np.zeros(0, np.int32), np.zeros((len(points), 2))
+    return _sums(tree, points, nobody, starts, np.zeros(0, np.int32), weights)[:, 0]
+
+
+def _sums(
+    tree: Tree, points: F64, ids: I32, starts: npt.NDArray[np.int64], positions: I32, weights: F64
+) -> F64:
+    """(P, 2) float64: weights of the foreign nodes around each point, and of the point's own."""
+    out = np.zeros((len(points), 2))
 
     def work(_worker: int, begin: int, end: int) -> None:
         _query(
             begin,
             end,
             points,
-            nobody,
+            ids,
             starts,
             positions,
             tree.lower,
@@ -204,7 +190,7 @@ def weight_at(tree: Tree | WideTree, points: F64, weights: F64) -> F64:
         )
 
     run_blocks(work, len(points), _BLOCK)
-    return out[:, 0]
+    return out
 
 
 def points_on(triangles: Triangles, ids: I32, seed: int = 0) -> F64:

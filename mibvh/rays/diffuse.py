@@ -7,7 +7,7 @@ from typing import Any
 
 from mibvh.ranges import check
 from mibvh.rays.kinds import KINDS, KindOptions
-from mibvh.rays.make import collect
+from mibvh.rays.make import Film, collect
 from mibvh.rays.rayset import RaySet
 from mibvh.scene import load
 
@@ -36,16 +36,10 @@ def diffuse_rays(
     Parameters
     ----------
     scene : Scene, or what :func:`mibvh.load` takes
-    viewpoints : int, optional
-        How many of the scene's cameras to use; all by default.
-    width, height : int
-        Pixels per viewpoint.
-    samples : int
-        Paths per pixel.
+    viewpoints, width, height, samples, seed : int, optional
+        As for :func:`mibvh.make_rays`.
     bounces : int
         Diffuse rays per path, at most.
-    seed : int
-        Of the random numbers.
     sort : bool
         Whether to put the rays of each bounce in Morton order of origin and direction.
     progress : callable, optional
@@ -63,19 +57,9 @@ def diffuse_rays(
         hit the triangle that they leave.
     """
     check(bounces=bounces)
-    rays = collect(
-        load(scene),
-        KINDS["diffuse"],
-        1,
-        bounces,
-        KindOptions(),
-        viewpoints=viewpoints,
-        width=width,
-        height=height,
-        samples=samples,
-        seed=seed,
-        sort=sort,
-        progress=progress,
+    film = Film(
+        viewpoints=viewpoints, width=width, height=height, samples=samples, seed=seed, sort=sort
     )
+    rays = collect(load(scene), KINDS["diffuse"], 1, bounces, KindOptions(), film, progress)
     rays.meta.update({"bounces": bounces, "kind": "diffuse", "occlusion": False})
     return rays

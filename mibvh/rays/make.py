@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -20,6 +21,18 @@ from mibvh.variant import mitsuba
 #: A set with a greater share of rays that hit the triangle they leave is refused: what it costs
 #: would be wrong in the third digit.
 MOST_SELF_HITS = 1e-3
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Film:
+    """Where paths begin, and how their rays are put in order; see :func:`make_rays`."""
+
+    viewpoints: int | None
+    width: int
+    height: int
+    samples: int
+    seed: int
+    sort: bool
 
 
 def make_rays(
@@ -79,21 +92,11 @@ def make_rays(
         thousandth of them hit the triangle that they leave.
     """
     of, vertex = kind_named(kind)
-    scene = load(scene)
-    rays = collect(
-        scene,
-        of,
-        vertex,
-        vertex,
-        KindOptions(radius, radius_share),
-        viewpoints=viewpoints,
-        width=width,
-        height=height,
-        samples=samples,
-        seed=seed,
-        sort=sort,
-        progress=progress,
+    film = Film(
+        viewpoints=viewpoints, width=width, height=height, samples=samples, seed=seed, sort=sort
     )
+    options = KindOptions(radius, radius_share)
+    rays = collect(load(scene), of, vertex, vertex, options, film, progress)
     meta = {"kind": kind, "occlusion": of.occlusion}
     if of.name == "ao":
         meta["radius"] = float(rays.tmax[0])
@@ -107,18 +110,13 @@ def collect(
     first: int,
     last: int,
     options: KindOptions,
-    *,
-    viewpoints: int | None,
-    width: int,
-    height: int,
-    samples: int,
-    seed: int,
-    sort: bool,
+    film: Film,
     progress: Callable[[float], None] | None,
 ) -> RaySet:
     """Rays of a kind that leave the vertices ``first`` to ``last``; see :func:`make_rays`."""
+    width, height, samples, seed = film.width, film.height, film.samples, film.seed
     check(seed=seed)
-    views = _checked(scene, viewpoints, width=width, height=height, samples=samples)
+    views = _checked(scene, film.viewpoints, width=width, height=height, samples=samples)
     paths = Paths(scene)
     parts: list[RaySet] = []
     hits = self_hits = 0
@@ -144,7 +142,7 @@ def collect(
         "height": height,
         "samples": samples,
         "viewpoints": views,
-        "order": "morton" if sort else "path",
+        "order": "morton" if film.sort else "path",
         "primary_rays": views * width * height * samples,
         "primary_hits": hits,
         "self_hits": self_hits,
@@ -155,7 +153,7 @@ def collect(
             f"{scene.name}: {self_hits} of {len(rays)} {kind.name} rays hit the triangle that they "
             f"leave, more than {MOST_SELF_HITS:.1%}: float32 is too coarse for this geometry"
         )
-    return rays.select(morton_order(rays, scene.triangles.bounds)) if sort else rays
+    return rays.select(morton_order(rays, scene.triangles.bounds)) if film.sort else rays
 
 
 def _checked(scene: Scene, viewpoints: int | None, **sizes: int) -> int:

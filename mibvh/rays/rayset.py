@@ -96,11 +96,11 @@ class RaySet(Stored):
             ("bounce", self.bounce >= 0, "a bounce below 0"),
             ("source", self.source >= -1, "a source triangle below -1"),
         ]
-        for name, good, fault in sound:
+        for name, good, wrong in sound:
             if not good.all():
                 first = int(good.argmin())
                 raise MibvhError(
-                    f"{int((~good).sum())} of {len(self)} rays have {fault} (first: ray {first}, "
+                    f"{int((~good).sum())} of {len(self)} rays have {wrong} (first: ray {first}, "
                     f"{name} = {getattr(self, name)[first].tolist()})"
                 )
 
@@ -140,18 +140,17 @@ class RaySet(Stored):
         return RaySet(**arrays, meta=self.meta)
 
     def rotated(self, rotation: F64, triangles: Triangles | None = None) -> RaySet:
-        """Turn about the origin, as :meth:`mibvh.Triangles.rotated` turns the scene.
+        """Rotate about the origin, as :meth:`mibvh.Triangles.rotated` rotates the scene.
 
         Parameters
         ----------
         rotation : (3, 3) float64
         triangles : Triangles, optional
-            The turned ones. Turning rounds both them and the origins: without them, rays may
-            hit the triangle that they leave; with them, origins are put clear of it again.
+            The rotated ones. Rotation rounds both them and the origins: without them, rays may
+            hit the triangle that they leave. With them, origins are moved clear of it again.
         """
-        turn = rotation.T
-        o = self.o.astype(np.float64) @ turn
-        d = (self.d.astype(np.float64) @ turn).astype(np.float32)
+        o = self.o.astype(np.float64) @ rotation.T
+        d = (self.d.astype(np.float64) @ rotation.T).astype(np.float32)
         if triangles is not None:
             from mibvh.rays.origins import clear_origins
 

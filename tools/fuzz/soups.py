@@ -20,7 +20,7 @@ from tools.fuzz.mutate import Random
 
 F64 = npt.NDArray[np.float64]
 RAYS = 256
-STYLES = ("single", "while-while", "postponed", "wide")
+STYLES = ("single", "while-while", "speculative", "wide")
 #: Barycentric margin, and sine of the angle to the triangle, within which there is doubt.
 MARGIN = 1e-3
 

@@ -25,7 +25,7 @@ from mibvh.studies.record.experiment import Experiment, chosen
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.progress import Listener, Progress, Reporter
 from mibvh.studies.record.scene import RayFacts, SceneRecord, Timing, TreeRow
-from mibvh.variant import give_back_memory
+from mibvh.variant import release_memory
 
 #: What the seconds are spent on, by the first word of the pieces' names.
 _STAGES = {
@@ -80,7 +80,7 @@ def study_scene(
     results = {}
     for experiment in asked:
         # The last step had the records of all trees in memory; the next needs one at a time.
-        give_back_memory()
+        release_memory()
         store.begin()
         part = reporter.of(experiment.name, *shares[experiment.name])
         if experiment.measure is not None:
