@@ -112,12 +112,12 @@ def _progress() -> Iterator[Any]:
 
 
 def _doing(what: str) -> Heartbeat:
-    """Say every few seconds what a command is at that has no progress to tell."""
+    """Say every few seconds what a command without progress is doing."""
     return Heartbeat(lambda: typer.echo(f"mibvh: {what} ...", err=True))
 
 
 def _show(bar: Any, task: Any, what: str = "") -> Callable[[str, float], None]:
-    """Show stages on a bar. Each has a time of its own: the last one's tells nothing of it."""
+    """Show stages on a bar. Each stage has its own estimate of time left."""
 
     def show(stage: str, done: float) -> None:
         words = f"{what}: {stage}" if what else stage
@@ -129,7 +129,7 @@ def _show(bar: Any, task: Any, what: str = "") -> Callable[[str, float], None]:
 
 
 def _load(source: str, define: list[str] | None = None) -> Any:
-    """Load a scene, and say on standard error what could not be taken over as it is."""
+    """Load a scene, and say on standard error what could not be read as it is."""
     from mibvh import load
 
     with _doing(f"loading {source}"):
@@ -211,11 +211,9 @@ def _common(
     ] = None,
     sandbox: Annotated[
         bool,
-        typer.Option("--sandbox", help="load scenes in a process of their own first, on trial"),
+        typer.Option("--sandbox", help="try to load each scene in a separate process first"),
     ] = False,
-    debug: Annotated[
-        bool, typer.Option("--debug", help="show the traceback behind a refusal")
-    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="show the traceback of an error")] = False,
     version: Annotated[
         bool,
         typer.Option("--version", callback=_version, is_eager=True, help="print the version"),
@@ -235,11 +233,11 @@ def build_command(
     scene: SceneArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="the tree file to write")],
     builder: Annotated[str, typer.Option(help="a name from `mibvh builders`")] = "bbvh",
-    option: Annotated[list[str] | None, typer.Option(help="NAME=VALUE of the builder")] = None,
+    option: Annotated[list[str] | None, typer.Option(help="NAME=VALUE, an option of it")] = None,
     define: Define = None,
     as_json: Json = False,
 ) -> None:
-    """Build a tree of a scene and save it."""
+    """Build a tree over a scene and save it."""
     from mibvh import build, sah
 
     options = _parse_options(option or [])
@@ -269,7 +267,7 @@ def optimize_command(
     scene: SceneArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="the tree file to write")],
     option: Annotated[
-        list[str] | None, typer.Option(help="NAME=VALUE of the builder `finite`")
+        list[str] | None, typer.Option(help="NAME=VALUE, an option of the builder `finite`")
     ] = None,
     define: Define = None,
     as_json: Json = False,
@@ -316,13 +314,13 @@ def import_command(
     output: Annotated[Path, typer.Option("-o", "--output", help="the tree file to write")],
     layout: LayoutOption = None,
     scene: Annotated[
-        str | None, typer.Option(help="what it is of: the tree is checked against its triangles")
+        str | None, typer.Option(help="what it was built for; checks the tree against it")
     ] = None,
-    name: Annotated[str, typer.Option(help="what to call it; by default as the file")] = "",
+    name: Annotated[str, typer.Option(help="name of the tree; the file's by default")] = "",
     define: Define = None,
     as_json: Json = False,
 ) -> None:
-    """Take a tree of another program: no box, leaf or reference is changed."""
+    """Import a tree of another program; no box, leaf or reference changes."""
     from mibvh import read_tree, sah
 
     tree = read_tree(file, layout, name)
@@ -338,7 +336,7 @@ def import_command(
 def compare_command(
     scene: SceneArgument,
     first: Annotated[str, typer.Argument(metavar="A", help="a tree's file, or a builder")],
-    second: Annotated[str, typer.Argument(metavar="B", help="likewise")],
+    second: Annotated[str, typer.Argument(metavar="B", help="as A")],
     rays: Annotated[Path | None, typer.Option(help="ray file; diffuse rays by default")] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="PNG of the difference over the scene")
@@ -347,7 +345,7 @@ def compare_command(
     define: Define = None,
     as_json: Json = False,
 ) -> None:
-    """Two trees side by side: figures, where their costs differ, and which rays pay."""
+    """Compare two trees: figures, where their costs differ, and which rays cost more."""
     from mibvh import read_rays
     from mibvh.comparison import compare, difference_figure
     from mibvh.files import atomic_path
@@ -428,11 +426,11 @@ def audit_command(
     rays: Annotated[
         Path | None, typer.Argument(metavar="[RAYS.npz]", help="diffuse rays by default")
     ] = None,
-    seed: Annotated[int, typer.Option(help="of points and samples")] = 0,
+    seed: Annotated[int, typer.Option(help="seed of points and samples")] = 0,
     define: Define = None,
     as_json: Json = False,
 ) -> None:
-    """Check a tree and its numbers by paths that share no code; exit code 3 if one fails."""
+    """Check a tree and its numbers by independent code; exit code 3 if a check fails."""
     from mibvh import RaySet, Tree
     from mibvh.audit import audit
 
@@ -481,7 +479,7 @@ def rays(
     height: Annotated[int, typer.Option(help="pixels per viewpoint")] = 240,
     samples: Annotated[int, typer.Option(help="paths per pixel")] = 4,
     bounces: Annotated[int, typer.Option(help="diffuse rays per path, at most")] = 1,
-    seed: Annotated[int, typer.Option(help="of the random numbers")] = 0,
+    seed: Annotated[int, typer.Option(help="seed of the random numbers")] = 0,
     kind: Annotated[
         str, typer.Option(help="diffuse, primary, shadow, ao, or bounce2, shadow2, ...")
     ] = "diffuse",
@@ -554,11 +552,12 @@ def render(
         ),
     ] = None,
     builder: Annotated[
-        str | None, typer.Option(help="of the tree; sbvh by default (bvh_path, bvh_cost)")
+        str | None, typer.Option(help="the tree's; sbvh by default (bvh_path, bvh_cost)")
     ] = None,
-    compare: Annotated[str | None, typer.Option(help="of a second tree (bvh_cost)")] = None,
+    compare: Annotated[str | None, typer.Option(help="builder of a second tree (bvh_cost)")] = None,
     option: Annotated[
-        list[str] | None, typer.Option(help="NAME=VALUE of the integrator or the builder")
+        list[str] | None,
+        typer.Option(help="NAME=VALUE, an option of the integrator or builder"),
     ] = None,
     define: Define = None,
     spp: Annotated[
@@ -566,7 +565,7 @@ def render(
     ] = None,
     size: Annotated[str | None, typer.Option(help="WxH in pixels; the scene's by default")] = None,
     sensor: Annotated[int, typer.Option(help="which of the scene's cameras")] = 0,
-    seed: Annotated[int, typer.Option(help="of the image")] = 0,
+    seed: Annotated[int, typer.Option(help="seed of the image")] = 0,
     quantity: Annotated[
         list[str] | None, typer.Option(help="what a PNG of bvh_cost shows; may be repeated")
     ] = None,
@@ -628,17 +627,17 @@ def study(
     samples: Annotated[
         int | None, typer.Option(help="paths per pixel; the profile's by default")
     ] = None,
-    seed: Annotated[int, typer.Option(help="of the rays")] = 0,
+    seed: Annotated[int, typer.Option(help="seed of the rays")] = 0,
     warp_width: Annotated[int, typer.Option(help="lanes of the simulated warps")] = 32,
     warp_style: Annotated[
         str, typer.Option(help="their kernel: persistent (the paper's), speculative, single, ...")
     ] = "persistent",
     define: Define = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="of a Dask cluster to study scenes on")
+        str | None, typer.Option(metavar="ADDRESS", help="a Dask cluster that studies the scenes")
     ] = None,
     as_json: Annotated[
-        bool, typer.Option("--json", help="print JSON lines: progress, and at last the result")
+        bool, typer.Option("--json", help="print JSON lines: progress, then the result")
     ] = False,
 ) -> None:
     """Build, measure, predict and report, for scenes and builders."""
@@ -734,7 +733,7 @@ def _print_study(result: Any) -> None:
 
 @app.command()
 def report(
-    folder: Annotated[Path, typer.Argument(help="of a study")], as_json: Json = False
+    folder: Annotated[Path, typer.Argument(help="folder of a study")], as_json: Json = False
 ) -> None:
     """Remake a study's tables and report without measuring again."""
     from mibvh.studies.run import remake_report
@@ -792,7 +791,7 @@ def notebooks(
     output: Annotated[Path, typer.Option("-o", "--output", help="folder to copy them into")],
     as_json: Json = False,
 ) -> None:
-    """Copy the notebooks, which come with mibvh, to where they can be run."""
+    """Copy mibvh's notebooks into a folder to run them."""
     from mibvh.bundled import copy_notebooks
 
     copied = [str(path) for path in copy_notebooks(output)]
@@ -804,7 +803,7 @@ def notebooks(
 
 @app.command()
 def doctor(as_json: Json = False) -> None:
-    """Tell what this machine has, and what to install."""
+    """Say what this machine has and what to install."""
     from mibvh.environment import doctor as look
 
     state = look()
@@ -838,7 +837,7 @@ def scenes_list(as_json: Json = False) -> None:
 
 @scenes_app.command("paper")
 def scenes_paper(as_json: Json = False) -> None:
-    """List the paper's own scenes: where each is to be had, and what was published of it."""
+    """List the paper's scenes: where to get each, and its published figures."""
     import dataclasses
 
     from mibvh.studies.paper.published import published

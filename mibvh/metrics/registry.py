@@ -45,7 +45,8 @@ class Quantity:
     smaller_is_better : bool
         Whether the smallest value of a table is marked as the best.
     main : bool
-        Whether it is a column of the table of all scenes, as well as of each scene's own.
+        Whether the report's table of the trees of all scenes has it as a column. The table of
+        each scene has a column for every quantity with a heading.
     target : bool
         Whether predictors are compared with it.
     figure, caption : str
