@@ -632,6 +632,10 @@ def study(
     warp_style: Annotated[
         str, typer.Option(help="their kernel: persistent (the paper's), speculative, single, ...")
     ] = "persistent",
+    variant: Annotated[
+        str | None,
+        typer.Option(help="of Mitsuba: llvm_ad_rgb (the default), cuda_ad_rgb, ..."),
+    ] = None,
     define: Define = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="a Dask cluster that studies the scenes")
@@ -648,7 +652,12 @@ def study(
     from mibvh.studies import PROFILES
     from mibvh.studies.paper.catalogue import scenes_in
     from mibvh.studies.report.board import Board
+    from mibvh.variant import use_variant
 
+    if variant is not None:
+        if scheduler is not None:
+            raise MibvhError("--variant is for this machine: set MIBVH_VARIANT for the workers")
+        use_variant(variant)
     if profile not in PROFILES:
         raise MibvhError(f"--profile is one of {', '.join(PROFILES)}, not {profile!r}")
     warps = {"warp_width": warp_width, "warp_style": warp_style}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import platform
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,18 @@ def cpu_model() -> str:
     return platform.processor() or platform.machine()
 
 
+def gpu_model() -> str | None:
+    """Return name and driver of the first graphics card, as NVIDIA's own tool tells them."""
+    command = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+    try:
+        told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return next(iter(told.stdout.splitlines()), None)
+
+
 def environment() -> dict[str, Any]:
-    """Versions, processor, LLVM, lane width and threads, as JSON-able values.
+    """Versions, processor or graphics card, LLVM, lanes and threads, as JSON-able values.
 
     Raises
     ------
@@ -48,6 +59,7 @@ def environment() -> dict[str, Any]:
         "cores": os.cpu_count(),
         "threads": thread_count(),
         "variant": mi.variant(),
+        **({} if llvm else {"gpu": gpu_model()}),
         "llvm": ".".join(map(str, dr.detail.llvm_version())) if llvm else None,
         "libllvm": os.environ.get("DRJIT_LIBLLVM_PATH", "system"),
         "lane_width": lane_width(),

@@ -20,7 +20,7 @@ from mibvh.loading.parser import Parsed, mitsuba_reason, parse_dict, parse_file
 from mibvh.loading.shapes import mesh_corners, shape_key, shape_kind, shape_triangles, transformed
 from mibvh.memory import require_memory
 from mibvh.triangles import F32, F64, Triangles
-from mibvh.variant import mitsuba
+from mibvh.variant import mitsuba, mitsuba_traces, reading_variant
 from mibvh.viewpoints import automatic_viewpoints, camera_rays
 
 __all__ = [
@@ -38,6 +38,12 @@ __all__ = [
     "with_defines",
 ]
 
+#: Of every scene that is read where Mitsuba has a GPU's variant without OptiX.
+NO_OPTIX = (
+    "Mitsuba cannot trace rays in this variant, which takes OptiX: there are no viewpoints and no "
+    "picture, rays have to be given, and hits are not held against Mitsuba's"
+)
+
 
 @dataclasses.dataclass(eq=False)
 class Scene:
@@ -49,7 +55,7 @@ class Scene:
     triangles : Triangles
         All meshes, instances flattened, transforms applied.
     sensors : list of mitsuba.Sensor
-        The scene file's cameras, or automatic ones where it has none.
+        The scene file's cameras, or automatic ones where it has none; empty on a GPU without OptiX.
     original : mitsuba.Scene or None
         The scene as Mitsuba loads it; None for a bare mesh, and where instances are flattened:
         see :attr:`renderable`.
@@ -253,7 +259,7 @@ def _from_object(source: Any) -> Scene:
         with members_named(source) as (shapes, instances):
             found = _from_shapes("scene", Parsed(source, instances, []), shapes, "scene")
         found.original = source
-        return found
+        return _with_viewpoints(found)
     corners = getattr(source, "triangles", source)
     if not isinstance(corners, Triangles | np.ndarray):
         raise MibvhError(
@@ -266,15 +272,21 @@ def _from_object(source: Any) -> Scene:
 
 def _from_parsed(name: str, parse: Callable[..., Parsed], where: str) -> Scene:
     """A scene that Mitsuba parses, with its instances flattened; again, as it is, to render it."""
+    if not mitsuba_traces():
+        with reading_variant():
+            parsed = parse(flatten=True)
+            found = _from_shapes(name, parsed, parsed.scene.shapes(), where)
+        found.sensors, found.original = [], None  # they are of the variant that has read them
+        return _with_viewpoints(found)
     parsed = parse(flatten=True)
-    found = _from_shapes(name, parsed, parsed.scene.shapes(), where)
+    found = _with_viewpoints(_from_shapes(name, parsed, parsed.scene.shapes(), where))
     if parsed.instances:
         found.reload = lambda: parse(flatten=False).scene
     return found
 
 
 def _from_shapes(name: str, parsed: Parsed, whole: list[Any], where: str) -> Scene:
-    """Triangles and cameras of a scene that Mitsuba has instantiated."""
+    """Triangles and cameras of a scene that Mitsuba has instantiated; there may be no camera."""
     shapes: list[tuple[F32, list[F64] | None]] = []
     notes = list(parsed.notes)
     # The order of shapes() may differ between loads; triangle ids must not.
@@ -312,7 +324,7 @@ def _from_shapes(name: str, parsed: Parsed, whole: list[Any], where: str) -> Sce
             kind = shape_kind(sensor)
             notes.append(f"{kind} makes no rays from the points of an image and was left out")
     original = None if parsed.instances else parsed.scene
-    return _with_viewpoints(Scene(name, triangles, sensors, original, notes))
+    return Scene(name, triangles, sensors, original, notes)
 
 
 def makes_rays(sensor: Any) -> bool:
@@ -326,6 +338,8 @@ def makes_rays(sensor: Any) -> bool:
 
 
 def _with_viewpoints(scene: Scene) -> Scene:
-    if not scene.sensors:
+    if not mitsuba_traces():
+        scene.notes.append(NO_OPTIX)
+    elif not scene.sensors:
         scene.sensors = automatic_viewpoints(scene.triangles, scene.geometry)
     return scene

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import re
 import warnings
+from collections.abc import Iterator
 from typing import Any
 
 from mibvh.errors import MibvhError
@@ -18,6 +20,9 @@ LLVM_HINT = (
     "install LLVM 15 or newer (Debian, Ubuntu: apt install libllvm19; macOS: brew install llvm; "
     "without root: pip install 'mibvh[llvm]'), or point DRJIT_LIBLLVM_PATH at its libLLVM"
 )
+#: The variant that needs neither LLVM nor a GPU: it can read scenes, but not trace many rays.
+_READER = "scalar_rgb"
+_reading = False
 
 
 def mitsuba() -> Any:
@@ -34,24 +39,109 @@ def mitsuba() -> Any:
     choose_llvm()
     import mitsuba as mi
 
+    if _reading:
+        return mi
     if mi.variant() is None:
-        wanted = os.environ.get("MIBVH_VARIANT", DEFAULT)
-        if wanted not in mi.variants():
-            raise MibvhError(
-                f"MIBVH_VARIANT: this Mitsuba has no variant {wanted!r}; it has: "
-                f"{', '.join(mi.variants())}"
-            )
-        try:
-            mi.set_variant(wanted)
-        except ImportError:  # what Dr.Jit raises without its library
-            raise MibvhError(f"the variant {wanted} cannot be used: {_hint(wanted)}") from None
-    if mi.variant().startswith("scalar"):
+        _set(mi, os.environ.get("MIBVH_VARIANT", DEFAULT), "MIBVH_VARIANT: ")
+    _check(mi.variant())
+    return mi
+
+
+def use_variant(name: str) -> None:
+    """Use a variant from here on, whichever was in use.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``cuda_ad_rgb``.
+
+    Raises
+    ------
+    MibvhError
+        If Mitsuba has no such variant, or this machine lacks what it needs; the variant that was
+        in use stays so.
+    """
+    choose_llvm()
+    import mitsuba as mi
+
+    before = mi.variant()
+    try:
+        _set(mi, name)
+        _check(name)
+    except MibvhError:
+        if before is not None:
+            mi.set_variant(before)
+        raise
+    os.environ["MIBVH_VARIANT"] = name  # of processes that are started
+
+
+def _set(mi: Any, wanted: str, where: str = "") -> None:
+    if wanted not in mi.variants():
         raise MibvhError(
-            f"mibvh traces rays with Dr.Jit, which the variant {mi.variant()} does not use; "
+            f"{where}this Mitsuba has no variant {wanted!r}; it has: {', '.join(mi.variants())}"
+        )
+    try:
+        mi.set_variant(wanted)
+    except ImportError:  # what Dr.Jit raises without its library
+        raise MibvhError(f"the variant {wanted} cannot be used: {_hint(wanted)}") from None
+
+
+def _check(variant: str) -> None:
+    """See that a variant traces rays with Dr.Jit, and that this machine can."""
+    if variant.startswith("scalar"):
+        raise MibvhError(
+            f"mibvh traces rays with Dr.Jit, which the variant {variant} does not use; "
             "set an llvm_* or cuda_* variant instead"
         )
-    _prepare(mi.variant().split("_")[0])
-    return mi
+    _prepare(backend_of(variant))
+
+
+def backend_of(variant: str) -> str:
+    """``llvm`` or ``cuda``."""
+    return variant.split("_")[0]
+
+
+def backend() -> str:
+    """Backend of the variant in use: counts may differ between the two, which round otherwise."""
+    return backend_of(mitsuba().variant())
+
+
+def mitsuba_traces() -> bool:
+    """Whether Mitsuba's own ray tracing can be used: on a GPU it takes OptiX, which may lack.
+
+    mibvh's kernels need no more than CUDA.
+    """
+    mi = mitsuba()
+    return backend() != "cuda" or _optix(mi.variant())
+
+
+@functools.cache
+def _optix(variant: str) -> bool:
+    mi = mitsuba()
+    try:
+        scene = mi.load_dict({"type": "scene", "shape": {"type": "rectangle"}})
+        ray = mi.Ray3f(mi.Point3f(0, 0, 1), mi.Vector3f(0, 0, -1))
+        return float(scene.ray_intersect_preliminary(ray).t[0]) == 1.0
+    except RuntimeError:
+        return False
+
+
+@contextlib.contextmanager
+def reading_variant() -> Iterator[None]:
+    """Let Mitsuba read scenes without Dr.Jit for a while: its variant on a GPU needs OptiX.
+
+    What it makes in the meantime serves for triangles alone.
+    """
+    global _reading
+    mi = mitsuba()
+    before = mi.variant()
+    mi.set_variant(_READER)
+    _reading = True
+    try:
+        yield
+    finally:
+        _reading = False
+        mi.set_variant(before)
 
 
 @functools.cache
@@ -83,16 +173,21 @@ def give_back_memory() -> None:
     release_memory()
 
 
-@functools.cache
 def lane_width() -> int:
     """Lanes of a Dr.Jit packet: the vector width on LLVM, the warp on CUDA.
 
     Dr.Jit does not tell its vector width, so it is read off the code of a small kernel.
     """
-    mi = mitsuba()
-    if mi.variant().startswith("cuda"):
+    return _lane_width(mitsuba().variant())
+
+
+@functools.cache
+def _lane_width(variant: str) -> int:
+    if backend_of(variant) == "cuda":
         return 32
     import drjit as dr
+
+    mi = mitsuba()
 
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()

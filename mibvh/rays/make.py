@@ -15,7 +15,7 @@ from mibvh.rays.order import morton_order
 from mibvh.rays.origins import check_resolution
 from mibvh.rays.paths import Paths, Vertices, cosine_directions
 from mibvh.rays.rayset import RaySet
-from mibvh.scene import Scene, load
+from mibvh.scene import NO_OPTIX, Scene, load
 from mibvh.variant import mitsuba
 
 #: A set with a greater share of rays that hit the triangle they leave is refused: what it costs
@@ -158,6 +158,8 @@ def collect(
 
 def _checked(scene: Scene, viewpoints: int | None, **sizes: int) -> int:
     """How many viewpoints to use, if they and the sizes can be."""
+    if not scene.sensors:  # never but on a GPU without OptiX
+        raise MibvhError(f"{scene.name}: no rays can be made. {NO_OPTIX}")
     views = len(scene.sensors) if viewpoints is None else viewpoints
     check(**sizes, viewpoints=views)
     if views > len(scene.sensors):

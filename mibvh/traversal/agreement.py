@@ -46,7 +46,7 @@ def lane_faults(
     MibvhError
         If the tree or the rays belong to another geometry.
     """
-    from mibvh.variant import mitsuba
+    from mibvh.variant import backend
 
     chosen = np.unique(np.linspace(0, len(rays) - 1, min(rays_checked, len(rays))).astype(np.int64))
     some = rays.select(chosen)
@@ -55,7 +55,7 @@ def lane_faults(
     others: dict[str, Hits | Warps] = {
         "scalar lanes": trace(tree, triangles, some, "scalar", repeats=1)
     }
-    if mitsuba().variant().startswith("llvm"):
+    if backend() == "llvm":
         others["the simulation"] = simulate(tree, triangles, some, 1, "single")
     found = []
     for name, other in others.items():

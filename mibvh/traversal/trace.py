@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import os
 import time
 from typing import Any, Literal, NamedTuple
@@ -23,7 +24,7 @@ from mibvh.traversal.visits import Visits
 from mibvh.traversal.wide_rows import as_wide
 from mibvh.tree import Tree
 from mibvh.triangles import F32, I32, as_triangles
-from mibvh.variant import lane_width, mitsuba
+from mibvh.variant import backend, lane_width, mitsuba
 from mibvh.wide_tree import C_BOX, WideTree
 
 Lanes = Literal["simd", "scalar"]
@@ -207,7 +208,8 @@ class LaunchSeconds(NamedTuple):
     kernel : float
         Wall time of the kernel.
     process : float
-        CPU time of the process while the kernel ran, all threads together.
+        CPU time of the process while the kernel ran, all threads together; NaN on a GPU, where no
+        processor runs it.
     """
 
     kernel: float
@@ -294,7 +296,7 @@ class Tracer:
             # Until here this thread has traced the kernel; others execute it.
             thread = time.thread_time() - thread
             dr.sync_thread()
-            process = time.process_time() - process - thread
+            process = time.process_time() - process - thread if backend() == "llvm" else math.nan
             history = dr.kernel_history([dr.KernelType.JIT])
         kernel = sum(launched["execution_time"] for launched in history) / 1e3
         return visits, LaunchSeconds(kernel, process)

@@ -10,7 +10,7 @@ from mibvh.audit.run import audit_figures, audit_hits, check_tree
 from mibvh.studies.measure.counts import RayCounter
 from mibvh.traversal.trace import Hits
 from mibvh.tree import Tree
-from mibvh.variant import mitsuba
+from mibvh.variant import backend
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Auditor:
 
         The simulation does not re-test popped nodes, and a GPU may contract products and sums.
         """
-        if self._counter.cull or not mitsuba().variant().startswith("llvm"):
+        if self._counter.cull or backend() != "llvm":
             return
         costs = tree.meta["c_inner"] * hits.inner + tree.meta["c_tri"] * hits.tests
         counted = float(costs[self._counter.warps.places].mean())

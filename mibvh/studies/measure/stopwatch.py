@@ -9,7 +9,8 @@ has all rays at a time.
 
 Two clocks are read at every launch. The kernel's wall time counts what other programs take away;
 the CPU time of the process does not, but it counts what cores cost each other. The clock that
-agrees better with itself gives the ratios between trees; the wall time gives their level.
+agrees better with itself gives the ratios between trees; the wall time gives their level. On a GPU
+there is only the kernel's time.
 """
 
 from __future__ import annotations
@@ -59,8 +60,9 @@ class Timings:
 
     @property
     def clock(self) -> Clock:
-        """The clock by which the largest error of a tree is smaller."""
-        return min(CLOCKS, key=lambda clock: float(self.relative_error_by(clock).max()))
+        """The clock by which the largest error of a tree is smaller; one that ran."""
+        ran = [clock for clock in CLOCKS if np.isfinite(self.seconds[clock]).all()]
+        return min(ran, key=lambda clock: float(self.relative_error_by(clock).max()))
 
     @property
     def estimate(self) -> F64:

@@ -21,6 +21,7 @@ from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import TreeRow
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles
+from mibvh.variant import backend
 
 #: What all trees of a study are judged by: the paper's constants.
 _COSTS = {"c_inner": Options().c_inner, "c_tri": Options().c_tri}
@@ -167,6 +168,7 @@ def study_tree(
         **of,
         rays=counter.rays.digest,
         cull=counter.cull,
+        backend=backend(),
         lines=LINES,
     )
     count = functools.partial(counter, tree)
@@ -183,6 +185,7 @@ def study_tree(
         **of,
         rays=counter.rays.digest,
         cull=counter.cull,
+        backend=backend(),
         warps=counter.warps.rules.width,
         **audited,
     )
