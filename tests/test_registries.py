@@ -26,6 +26,7 @@ from mibvh.studies.record.quantities import quantities
 from mibvh.studies.record.scene import Result, SceneRecord
 from mibvh.studies.record.serialise import from_json, to_json
 from mibvh.studies.record.sheet import Column, Sheet
+from mibvh.studies.report.tidy import tidy_table, wide_table
 from mibvh.studies.run import read_study
 
 CHOICES = {"width": 24, "height": 16, "scalar_rays": 256, "seconds": 0.0}
@@ -237,6 +238,25 @@ def test_a_record_of_other_fields_is_refused(small_study):
     data["results"] = {"oak": {}}
     with pytest.raises(mibvh.MibvhError, match="no experiment 'oak'"):
         SceneRecord.from_json(data)
+
+
+def test_quantities_of_a_plugin_that_is_not_loaded():
+    declared = {name: 1.0 for name, q in quantities().items() if q.per_tree}
+    record = scene_record([tree_row(**declared, oaks=2.0), tree_row("lbvh", **declared)])
+    column = wide_table([record])["oaks"]
+    np.testing.assert_array_equal(column, [2.0, np.nan])
+    with pytest.raises(mibvh.MibvhError, match=r"tree lbvh has no 'oaks': .* without the plugin"):
+        record.trees[1]["oaks"]
+
+
+def test_results_have_quantities_of_a_plugin_that_is_not_loaded(small_study):
+    record = small_study.scenes[0]
+    trees = [tree.with_values(oaks=float(i)) for i, tree in enumerate(record.trees)]
+    table = tidy_table([dataclasses.replace(record, trees=trees)])
+    rows = table[table["measurement"] == "oaks"]
+    assert rows["value"].tolist() == [float(i) for i in range(len(trees))]
+    assert set(rows["unit"]) == {""}
+    assert len(table) == len(tidy_table([record])) + len(trees)
 
 
 def test_containers_of_dataclasses():

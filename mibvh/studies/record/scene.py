@@ -80,6 +80,11 @@ class TreeRow:
         object.__setattr__(self, "builder", plain(self.builder))
 
     def __getitem__(self, name: str) -> float:
+        if name not in self.values:
+            raise MibvhError(
+                f"the record of tree {self.builder} has no {name!r}: it is of a study without the "
+                "plugin that declares that; study the scene again with it"
+            )
         return self.values[name]
 
     def with_values(self, **values: float) -> TreeRow:

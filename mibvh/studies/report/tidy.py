@@ -32,7 +32,10 @@ _USUAL = {
 
 def wide_table(records: Records) -> pd.DataFrame:
     """One row per scene and tree."""
-    names = [quantity.name for quantity in quantities().values() if quantity.per_tree]
+    known = quantities()
+    names = [quantity.name for quantity in known.values() if quantity.per_tree]
+    recorded = {name for record in records for tree in record.trees for name in tree.values}
+    undeclared = sorted(recorded - set(known))  # by a plugin that is not here
     return pd.DataFrame(
         [
             {
@@ -40,6 +43,7 @@ def wide_table(records: Records) -> pd.DataFrame:
                 "triangles": record.triangles,
                 "builder": tree.builder,
                 **{name: tree[name] for name in names},
+                **{name: tree.values.get(name, float("nan")) for name in undeclared},
             }
             for record in records
             for tree in record.trees
@@ -69,14 +73,15 @@ def tidy_table(records: Records) -> pd.DataFrame:
 def _rows(
     record: SceneRecord, tidy: TidyRow, known: dict[str, Quantity]
 ) -> Iterator[dict[str, Any]]:
-    """Yield a row of the file for each declared quantity."""
+    """Yield a row of the file for each quantity; undeclared ones have their names alone."""
     tree, of = record.trees[tidy.place], dict(tidy.of)
     # Trees of other programs have no options.
     max_leaf = of.pop("max_leaf", tree.options.get("max_leaf", -1))
     options = {**tree.options, "max_leaf": max_leaf} if tree.options else {}
     common = _common(record)
     rays = {**_rays(record), **tidy.rays}
-    for quantity in known.values():
+    undeclared = [Quantity(name=name, unit="") for name in tidy.values if name not in known]
+    for quantity in (*known.values(), *undeclared):
         if quantity.name in tidy.values:
             yield {
                 **common,
