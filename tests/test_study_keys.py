@@ -112,7 +112,7 @@ def test_a_wrong_number_that_is_kept_fails_its_audit(tmp_path):
         ("sbvh", "epo"),
     ]
     text = (tmp_path / "report.html").read_text()
-    assert "Numbers that are not to be believed" in text
+    assert "Numbers that failed the audit" in text
     assert 'class="alarm"' in text
 
 

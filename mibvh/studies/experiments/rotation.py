@@ -24,7 +24,7 @@ def _rows(record: SceneRecord) -> Iterator[TidyRow]:
 
 EXPERIMENT = Experiment(
     name="rotation",
-    summary="the scene and its rays rotated 45 degrees about (1, 1, 1), all trees built anew",
+    summary="the scene and its rays rotated 45 degrees about (1, 1, 1), all trees rebuilt",
     measure=rotation_experiment,
     weight=1.0,
     quantities=(

@@ -80,7 +80,7 @@ def _summary(records: Records) -> Sheet:
     return Sheet(
         name="audit",
         section=_SECTION,
-        title="Numbers held against another path through the code",
+        title="Numbers checked by independent code",
         note="Each tree: " + "; ".join(_CHECKS.values()) + ".",
         frame=pd.DataFrame(rows),
         columns=[
@@ -109,7 +109,7 @@ def _failures(found: list[tuple[str, str, Check]]) -> Sheet:
     return Sheet(
         name="audit-failures",
         section=_SECTION,
-        title="Numbers that are not to be believed",
+        title="Numbers that failed the audit",
         frame=pd.DataFrame(rows),
         columns=[
             Column("scene"),

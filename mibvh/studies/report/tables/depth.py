@@ -28,8 +28,8 @@ def _worst_case(records: Records) -> list[Sheet]:
         name="worst-case",
         section=SECTION,
         title="Worst-case triangle cost that remains, relative to bbvh",
-        note="A tree of so many splits, the largest part split first, with the rest taken as "
-        "leaves: what a top-down sweep minimises, split by split. Mean over the scenes; "
+        note="Trees cut after so many splits, the largest part split first; what remains counts "
+        "as leaves. A top-down sweep minimises this, split by split. Mean over the scenes; "
         "a splitting builder starts with more references.",
         frame=remaining.rename(columns={n: f"after {n}" for n in shown}).reset_index(),
         columns=[Column("builder"), *(Column(f"after {n}", format=".0%") for n in shown)],

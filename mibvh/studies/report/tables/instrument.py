@@ -23,7 +23,7 @@ _STAGES = {
     "warps": "warps in lockstep simulated",
     "stopwatch": "scalar and SIMD",
     "rotation": "all of it: trees, metrics, counts, stopwatch",
-    "audit": "numbers held against another path through the code",
+    "audit": "numbers checked by independent code",
     "sensitivity": "trees of other leaf sizes, deeper bounces",
 }
 
@@ -64,11 +64,11 @@ def _stopwatch(records: Records) -> Sheet:
         name="stopwatch",
         section=_SECTION,
         title="The stopwatch",
-        note="Rounds in which every tree was timed once, the largest standard error of a tree's "
-        "time relative to the others, and by how much one tree, timed twice under two names, "
-        "differed. The level of all times of a scene is known less well: where the scene was "
-        "rotated its trees were timed once more, minutes later, and the last column says by how "
-        "much the level differed then.",
+        note="Rounds, each of which times every tree once; the largest standard error of a "
+        "tree's time relative to the others; and the difference of one tree timed twice under "
+        "two names. The common level of a scene's times is known less well: the trees of a "
+        "rotated scene are timed once more, minutes later, and the last column is the "
+        "difference of the levels.",
         frame=frame,
         columns=columns,
     )
@@ -107,8 +107,9 @@ def _seconds(records: Records) -> Sheet:
         name="seconds",
         section="Where the time of the study went",
         title="Seconds that the study took",
-        note="Each piece counts as in the run that made it, however often the study was begun "
-        "again. Loading the scene and writing the report are not counted. " + _from_folder(records),
+        note="Each piece counts with the time of the run that made it, even if the study was "
+        "resumed. Loading the scene and writing the report are not counted. "
+        + _from_folder(records),
         frame=frame,
         columns=[
             Column("scene"),

@@ -51,7 +51,7 @@ def _note(records: Records) -> str:
     weights = average_weights(records)
     both, lines = (weights[name]["alpha"] for name in ("fitted", "ray lines"))
     return (
-        "the trees are built anew, the rays are the same. Average α: the mean over the scenes of "
+        "the trees are rebuilt, the rays are the same. Average α: the mean over the scenes of "
         f"those fitted to counted cost, {both:.2f} with EPO, {lines:.2f} with the rays' own ends "
         "and lines."
     )

@@ -14,7 +14,7 @@ from mibvh.studies.analyse.sensitivity import (
 from mibvh.studies.record.scene import Records
 from mibvh.studies.record.sheet import Column, Sheet
 
-SECTION = "Does the conclusion stand with other choices?"
+SECTION = "Does the conclusion hold with other choices?"
 #: What the choices of an experiment are called where they stand in a table.
 _CHOICES = {
     "leaf size": "largest leaf {}",
@@ -51,7 +51,7 @@ def _summary(table: pd.DataFrame) -> Sheet:
         title="Other leaf sizes, bounces and viewpoints",
         note="r with counted cost. Leaf sizes: the same trees, their leaves collapsed up to "
         "another size. Bounces: the rays of one bounce alone. Viewpoints: every run of so many "
-        "neighbours.",
+        "neighbouring viewpoints.",
         frame=summary,
         columns=[
             Column("used", "what is used"),

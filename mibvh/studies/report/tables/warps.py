@@ -22,9 +22,9 @@ def _by_builder(records: Records) -> Sheet:
         title="Warp cost against scalar: deviation by builder",
         note=f"Simulated warps ({warp_rules(records)}; at most {MOST_RAYS:,} rays per scene). A "
         "tree's deviation is the logarithm of warp cost over counted cost of the same rays, less "
-        "the mean of the scene's trees: below zero, the tree gains from warps. The timed one is "
-        "that of SIMD time over scalar time, on this machine's lanes and by its own kernel, noise "
-        "included; it need not agree.",
+        "the mean of the scene's trees: below zero, the tree gains from warps. The timed "
+        "deviation is that of SIMD over scalar time, with this machine's lanes and kernel, "
+        "noise included; the two need not agree.",
         frame=deviation_by_builder(records),
         columns=[
             Column("builder"),
@@ -42,7 +42,7 @@ def _by_scene(records: Records) -> Sheet:
     return Sheet(
         name="warp-deviation-scenes",
         section=_SECTION,
-        title="Warp cost against scalar: how large the deviation is, and what goes with it",
+        title="Warp cost against scalar: size of the deviation, and its correlations",
         note="Mean size over a scene's trees. r is Pearson's over the trees, with the simulated "
         "deviation: of LCV, of the spread (standard deviation of a ray's counted cost over its "
         "mean), and of the timed deviation; the first two as logarithms.",
