@@ -30,8 +30,8 @@ def _step_costs(records: Records) -> Sheet:
         title="What a step costs",
         note="Nanoseconds fitted to all trees of all scenes: per inner node, per triangle test, "
         "and per ray, whatever it visits. The paper takes 1.2 for C_inner / C_tri. The 95% "
-        "interval of this ratio is by the bootstrap over scenes and their trees: where it is wide, the "
-        "times do not determine the ratio.",
+        "interval of this ratio is by the bootstrap over scenes and their trees: where it is "
+        "wide, the times do not determine the ratio.",
         frame=pd.DataFrame(rows),
         columns=[
             Column("lanes"),
