@@ -290,6 +290,11 @@ def unfold(tree: Tree, triangles: Any) -> Tree:
     -------
     Tree
         With new nodes behind the others.
+
+    Raises
+    ------
+    MibvhError
+        If the tree is invalid, or was built for another geometry.
     """
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)

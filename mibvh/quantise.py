@@ -35,7 +35,13 @@ def quantised(tree: WideTree) -> WideTree:
     WideTree
         The same tree with boxes that hold the former ones; the root's is what its children need.
         A tree whose boxes lie on their grids already comes out as it is.
+
+    Raises
+    ------
+    MibvhError
+        If the tree is invalid.
     """
+    tree.check()
     lower, upper = _quantise(tree.lower, tree.upper, tree.child, tree.children)
     return tree.replace(lower=lower, upper=upper, quantised=True)
 

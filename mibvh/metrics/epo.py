@@ -152,21 +152,49 @@ def overlap(
 
 
 def epo_per_node(tree: Tree | WideTree, triangles: Any, **options: Any) -> F64:
-    """Each node's share of the EPO; options as for :func:`overlap`.
+    """Each node's share of the EPO; they sum to it.
+
+    Parameters
+    ----------
+    tree : Tree or WideTree
+    triangles : Triangles or (N, 3, 3) array
+        What the tree was built for.
+    **options
+        ``weights``, ``fragments``, ``threads``, ``progress``, as for :func:`mibvh.epo`.
 
     Returns
     -------
     (M,) float64
+        In units of the cost constants that the tree was built with.
+
+    Raises
+    ------
+    MibvhError
+        As for :func:`mibvh.epo`.
     """
     return node_costs(tree) * overlap(tree, triangles, **options).fraction
 
 
 def epo_per_depth(tree: Tree | WideTree, triangles: Any, **options: Any) -> F64:
-    """EPO of the nodes of each depth; options as for :func:`overlap`.
+    """EPO of the nodes of each depth; they sum to that of the tree.
+
+    Parameters
+    ----------
+    tree : Tree or WideTree
+    triangles : Triangles or (N, 3, 3) array
+        What the tree was built for.
+    **options
+        ``weights``, ``fragments``, ``threads``, ``progress``, as for :func:`mibvh.epo`.
 
     Returns
     -------
     (depth + 1,) float64
+        Root first, in units of the cost constants that the tree was built with.
+
+    Raises
+    ------
+    MibvhError
+        As for :func:`mibvh.epo`.
     """
     shares = epo_per_node(tree, triangles, **options)
     return np.bincount(tree.depths, shares, tree.depth + 1).astype(np.float64)
@@ -183,6 +211,10 @@ def epo(
     **deprecated: Any,
 ) -> float:
     """Expected extra cost of a point query at a ray's end, due to overlap.
+
+    End-point overlap, the metric of Aila, Karras and Laine (*On Quality Metrics of Bounding
+    Volume Hierarchies*, HPG 2013): ``1 / A`` times the sum over the nodes of a node's
+    cost times the area, inside its box, of the surfaces of triangles that it does not hold.
 
     Ray ends are taken as uniformly distributed over all surfaces. :func:`mibvh.epo_at_ends` uses
     the points where given rays end. :func:`mibvh.estimate_epo` estimates EPO from random points,

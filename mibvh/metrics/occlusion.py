@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import numpy.typing as npt
 
-from mibvh.metrics.points import on_surface, point_costs, triangle_positions
+from mibvh.metrics.points import point_costs, triangle_positions
 from mibvh.metrics.predictor import finite_ray_cost
-from mibvh.rays.rayset import RaySet
-from mibvh.traversal.trace import Hits
+from mibvh.surface import on_surface
 from mibvh.tree import Tree
 from mibvh.triangles import F64, Triangles
+
+if TYPE_CHECKING:
+    from mibvh.rays.rayset import RaySet
+    from mibvh.traversal.trace import Hits
 
 
 def saved_by_any_hit(tree: Tree, triangles: Triangles, rays: RaySet, hits: Hits) -> float:

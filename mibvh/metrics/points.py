@@ -17,6 +17,7 @@ from mibvh._jit import njit
 from mibvh.errors import MibvhError
 from mibvh.metrics.sah import node_costs
 from mibvh.parallel import run_blocks
+from mibvh.surface import on_surface, points_on
 from mibvh.tree import Tree
 from mibvh.triangles import F64, I32, Triangles, as_triangles
 from mibvh.wide_tree import BinaryView, WideTree, as_binary
@@ -193,19 +194,6 @@ def _sums(
     return out
 
 
-def points_on(triangles: Triangles, ids: I32, seed: int = 0) -> F64:
-    """(P, 3) float64: a uniformly distributed random point on each of the given triangles."""
-    u, v = np.random.default_rng(seed).random((2, len(ids)))
-    over = u + v > 1
-    return barycentric(triangles, ids, np.where(over, 1 - u, u), np.where(over, 1 - v, v))
-
-
-def barycentric(triangles: Triangles, ids: I32, u: F64, v: F64) -> F64:
-    """(P, 3) float64: points of triangles; exactly in their plane where it is axis-aligned."""
-    a, b, c = np.moveaxis(triangles.corners[ids].astype(np.float64), 1, 0)
-    return a + u[:, None] * (b - a) + v[:, None] * (c - a)
-
-
 def estimate_epo(tree: Tree | WideTree, triangles: Any, samples: int, seed: int = 0) -> Estimate:
     """Estimate EPO from points on the surfaces, stratified by area.
 
@@ -335,7 +323,12 @@ def ray_ends(triangles: Any, rays: Any, hits: Any) -> tuple[RayEnds, RayEnds]:
     Returns
     -------
     starts, ends : RayEnds
-        Ends of the rays that hit something.
+        Starts of the rays that leave a triangle, and ends of those that hit one.
+
+    Raises
+    ------
+    MibvhError
+        If the hits are not as many as the rays, or a triangle is none of the scene's.
     """
     return ray_starts(triangles, rays), ray_hits(triangles, rays, hits)
 
@@ -364,35 +357,6 @@ def _ray_ends(triangles: Any, near: Any, ids: I32, rays: int) -> RayEnds:
         )
     points = on_surface(triangles, near, ids)
     return RayEnds(points, np.ascontiguousarray(ids, np.int32), rays)
-
-
-def on_surface(triangles: Triangles, near: Any, ids: I32) -> F64:
-    """Move points into the planes of their triangles.
-
-    Ray hits lie on their triangles only up to rounding. Flat boxes are common, so a point that is
-    off its wall by one rounding would miss every box that has the wall for a face.
-
-    Parameters
-    ----------
-    triangles : Triangles
-    near : (P, 3) float
-    ids : (P,) int32
-        The triangle that each point lies on.
-
-    Returns
-    -------
-    (P, 3) float64
-    """
-    a, b, c = np.moveaxis(triangles.corners[ids].astype(np.float64), 1, 0)
-    e1, e2, p = b - a, c - a, near - a
-    d11, d12, d22 = (np.einsum("ij,ij->i", x, y) for x, y in ((e1, e1), (e1, e2), (e2, e2)))
-    p1, p2 = np.einsum("ij,ij->i", p, e1), np.einsum("ij,ij->i", p, e2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        determinant = d11 * d22 - d12 * d12
-        u = np.clip(np.nan_to_num((d22 * p1 - d12 * p2) / determinant), 0, 1)
-        v = np.clip(np.nan_to_num((d11 * p2 - d12 * p1) / determinant), 0, 1)
-    over = np.maximum(u + v, 1)
-    return barycentric(triangles, ids, u / over, v / over)
 
 
 def epo_at_ends(tree: Tree | WideTree, triangles: Any, ends: RayEnds) -> Estimate:

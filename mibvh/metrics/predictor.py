@@ -56,6 +56,7 @@ def fit_alpha(
 ) -> float:
     """Alpha that maximises Pearson's r of ``(1 - alpha) SAH + alpha EPO + plus``, in closed form.
 
+    The one free parameter of the predictor of Aila, Karras and Laine (HPG 2013).
     r has one stationary point in alpha. Where that is a minimum or outside 0 to 1, the best alpha
     is 0 or 1.
 
@@ -103,7 +104,12 @@ def path_length_ratio(triangles: Any, rays: Any, hits: Any) -> float:
     Returns
     -------
     float
-        NaN for a box without volume.
+        ``s``, without unit; NaN for a box without volume. See ``docs/alpha.md``.
+
+    Raises
+    ------
+    MibvhError
+        If the triangles are none.
     """
     triangles = as_triangles(triangles)
     lower, upper = triangles.bounds.astype(np.float64)
@@ -125,6 +131,11 @@ def estimate_alpha(length_ratio: float) -> float:
     ----------
     length_ratio : float
         ``s`` from :func:`path_length_ratio`.
+
+    Returns
+    -------
+    float
+        From 0 to 1.
     """
     return 1.0 / (1.0 + length_ratio)
 
@@ -143,7 +154,13 @@ def finite_ray_cost(
     sah, point_query : (K,) array
         One per tree. The point query is the mean cost of all nodes that contain a ray's start.
     length_ratio : float
-        From :func:`path_length_ratio`.
+        ``s`` from :func:`path_length_ratio`.
+
+    Returns
+    -------
+    (K,) float64
+        In units of the cost constants. It ranks the trees of a scene; its level may be off by a
+        factor that they share.
     """
     return length_ratio * np.asarray(sah, np.float64) + np.asarray(point_query, np.float64)
 

@@ -62,7 +62,13 @@ def sah_per_node(
     Returns
     -------
     (M,) float64
-        Where the root has no area at all, every ratio of areas is taken as 1.
+        In units of the cost constants. Where the root has no area at all, every ratio of areas
+        is taken as 1.
+
+    Raises
+    ------
+    MibvhError
+        If it is no tree, or an invalid one.
     """
     expect((Tree, WideTree), tree=tree)
     areas = tree.half_areas
@@ -78,7 +84,8 @@ def sah(
 ) -> float:
     """Expected cost of a long random ray, by the surface area heuristic.
 
-    The ray is taken from uniformly distributed lines. :func:`mibvh.sah_of_lines` uses the lines
+    ``1 / A_root`` times the sum of ``C_n A_n`` over all nodes, root included (Goldsmith and Salmon
+    1987; MacDonald and Booth 1990). The ray is taken from uniformly distributed lines. :func:`mibvh.sah_of_lines` uses the lines
     that given rays lie on.
 
     Parameters
@@ -93,6 +100,11 @@ def sah(
     -------
     float
         In units of the cost constants.
+
+    Raises
+    ------
+    MibvhError
+        If it is no tree, or an invalid one.
     """
     if deprecated:
         return _of_lines(tree, c_inner, c_tri, deprecated)

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from mibvh.metrics.points import on_surface, point_costs, triangle_positions
+from mibvh.metrics.points import point_costs, triangle_positions
+from mibvh.surface import on_surface
 from mibvh.traversal.kernel import walk
 from mibvh.traversal.records import Records, make_records
 from mibvh.tree import Tree

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from mibvh.errors import MibvhError
-from mibvh.metrics.points import on_surface
+from mibvh.surface import on_surface
 from mibvh.traversal.geometry import larger
 from mibvh.triangles import F32, I32, Triangles
 from mibvh.variant import mitsuba

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mibvh.rays import RaySet
+from mibvh.rays.rayset import RaySet
 from mibvh.traversal.trace import Hits, trace
 from mibvh.traversal.warp import Warps, simulate
 from mibvh.tree import Tree

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mibvh.rays import RaySet
+from mibvh.rays.rayset import RaySet
 from mibvh.triangles import F32, F64
 
 

@@ -7,8 +7,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from mibvh.errors import MibvhError
-from mibvh.rays import RaySet
 from mibvh.rays.order import morton_order
+from mibvh.rays.rayset import RaySet
 from mibvh.triangles import F32, I32
 
 Order = Literal["stored", "path", "morton", "random"]

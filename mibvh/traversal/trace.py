@@ -15,7 +15,7 @@ import numpy.typing as npt
 from mibvh.errors import MibvhError, expect
 from mibvh.files import check_columns, read_arrays, write_arrays
 from mibvh.ranges import check
-from mibvh.rays import RaySet
+from mibvh.rays.rayset import RaySet
 from mibvh.traversal.child_order import ChildOrder, child_priority
 from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.records import Layout, Records, make_records, unit_scale

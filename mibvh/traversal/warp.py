@@ -39,7 +39,7 @@ import numpy.typing as npt
 
 from mibvh.errors import MibvhError
 from mibvh.parallel import run_blocks, thread_count
-from mibvh.rays import RaySet
+from mibvh.rays.rayset import RaySet
 from mibvh.traversal import lockstep
 from mibvh.traversal.divergence import Rounds, packets
 from mibvh.traversal.kernel_rays import kernel_rays

@@ -15,7 +15,7 @@ import numpy as np
 from mibvh._jit import njit
 from mibvh.collapsing import collapse
 from mibvh.quantise import finest_step, grid
-from mibvh.rays import RaySet
+from mibvh.rays.rayset import RaySet
 from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.records import unit_scale
 from mibvh.traversal.trace import U32
