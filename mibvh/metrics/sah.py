@@ -85,8 +85,8 @@ def sah(
     """Expected cost of a long random ray, by the surface area heuristic.
 
     ``1 / A_root`` times the sum of ``C_n A_n`` over all nodes, root included (Goldsmith and Salmon
-    1987; MacDonald and Booth 1990). The ray is taken from uniformly distributed lines. :func:`mibvh.sah_of_lines` uses the lines
-    that given rays lie on.
+    1987; MacDonald and Booth 1990). The ray is taken from uniformly distributed lines.
+    :func:`mibvh.sah_of_lines` uses the lines that given rays lie on.
 
     Parameters
     ----------
