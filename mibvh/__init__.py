@@ -14,6 +14,7 @@ from mibvh.version import __version__
 if TYPE_CHECKING:
     from mibvh import plot
     from mibvh.builders import Context, Draft, Options, References, build, builder, option
+    from mibvh.builders.wide import build_wide
     from mibvh.collapsing import collapse, unfold
     from mibvh.comparison import Comparison, compare
     from mibvh.errors import MibvhError
@@ -69,6 +70,7 @@ _PUBLIC = {
     "Triangles": "mibvh.triangles",
     "WideTree": "mibvh.wide_tree",
     "build": "mibvh.builders",
+    "build_wide": "mibvh.builders.wide",
     "builder": "mibvh.builders",
     "collapse": "mibvh.collapsing",
     "compare": "mibvh.comparison",
@@ -127,6 +129,7 @@ __all__ = [
     "WideTree",
     "__version__",
     "build",
+    "build_wide",
     "builder",
     "collapse",
     "compare",

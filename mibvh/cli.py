@@ -67,7 +67,10 @@ Define = Annotated[
 ]
 LayoutOption = Annotated[
     str | None,
-    typer.Option(help="mibvh, tinybvh, madmann91 or npz; by default npz by its ending, else mibvh"),
+    typer.Option(
+        help="mibvh, tinybvh, madmann91, npz, or of wide trees mbvh4, mbvh8; by default npz by its "
+        "ending, else mibvh"
+    ),
 ]
 #: Exit code of a command whose audit failed.
 AUDIT_FAILED = 3
@@ -234,22 +237,23 @@ def build_command(
     output: Annotated[Path, typer.Option("-o", "--output", help="the tree file to write")],
     builder: Annotated[str, typer.Option(help="a name from `mibvh builders`")] = "bbvh",
     option: Annotated[list[str] | None, typer.Option(help="NAME=VALUE, an option of it")] = None,
+    width: Annotated[int, typer.Option(help="children per node: 4 or 8 for a wide tree")] = 2,
     define: Define = None,
     as_json: Json = False,
 ) -> None:
     """Build a tree over a scene and save it."""
-    from mibvh import build, sah
+    from mibvh import Tree, WideTree, build, build_wide, sah
 
     options = _parse_options(option or [])
     loaded = _load(scene, define)  # whole: `finite` asks it for rays
+    tree: Tree | WideTree
     with _progress() as bar:
         task = bar.add_task(f"build {builder}", total=1.0)
-        tree = build(
-            loaded,
-            builder,
-            progress=_show(bar, task, builder),
-            **options,
-        )
+        show = _show(bar, task, builder)
+        if width == 2:
+            tree = build(loaded, builder, progress=show, **options)
+        else:
+            tree = build_wide(loaded, builder, width, progress=show, **options)
     tree.save(output)
     stats = tree.stats()
     result = {
@@ -297,10 +301,10 @@ def metrics(
     scene: SceneArgument, tree: TreeArgument, define: Define = None, as_json: Json = False
 ) -> None:
     """SAH, EPO and statistics of a tree."""
-    from mibvh import Tree, epo, sah
+    from mibvh import epo, read_tree, sah
 
     triangles = _load(scene, define).triangles
-    loaded = Tree.load(tree)
+    loaded = read_tree(tree, "npz")
     with _progress() as bar:
         task = bar.add_task("EPO", total=1.0)
         overlap = epo(loaded, triangles, progress=lambda done: bar.update(task, completed=done))
@@ -398,9 +402,9 @@ def export_command(
     layout: LayoutOption = None,
 ) -> None:
     """Write a tree for another program."""
-    from mibvh import Tree, write_tree
+    from mibvh import read_tree, write_tree
 
-    write_tree(Tree.load(tree), output, layout)
+    write_tree(read_tree(tree, "npz"), output, layout)
 
 
 @app.command("triangles")
@@ -515,9 +519,12 @@ def trace(
     rays: RaysArgument,
     lanes: Annotated[str, typer.Option(help="simd or scalar")] = "simd",
     style: Annotated[
-        str,
-        typer.Option(help="single (as the study), while-while, speculative, or wide: the fastest"),
-    ] = "single",
+        str | None,
+        typer.Option(
+            help="single (as the study), while-while, speculative, or wide: the fastest, and the "
+            "only one of wide trees"
+        ),
+    ] = None,
     cull: Annotated[bool, typer.Option(help="re-test popped nodes against the hit")] = False,
     any_hit: Annotated[bool, typer.Option(help="end at the first hit found")] = False,
     repeats: Annotated[int, typer.Option(help="timed launches")] = 5,
@@ -526,14 +533,16 @@ def trace(
     as_json: Json = False,
 ) -> None:
     """Trace rays through a tree: hits, exact counters, kernel time."""
-    from mibvh import Tree, read_rays
+    from mibvh import WideTree, read_rays, read_tree
     from mibvh.traversal.trace import trace as run
 
     triangles = _load(scene, define).triangles
+    loaded = read_tree(tree, "npz")
+    chosen = style or ("wide" if isinstance(loaded, WideTree) else "single")
     with _doing("tracing"):
         hits = run(
-            Tree.load(tree), triangles, read_rays(rays), lanes,  # type: ignore[arg-type]
-            style=style, cull=cull, any_hit=any_hit or None, repeats=repeats,
+            loaded, triangles, read_rays(rays), lanes,  # type: ignore[arg-type]
+            style=chosen, cull=cull, any_hit=any_hit or None, repeats=repeats,
         )  # fmt: skip
     if output:
         hits.save(output)
@@ -602,12 +611,13 @@ def study(
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="folder of the results")],
     builders: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="names, comma-separated; all of the paper's by default. With options: "
-            "bittner(start=sbvh), or sbvh(bins=8..128:8) for a tree with each value"
+            help='names, comma-separated; all of the paper\'s by default; "" for the given trees '
+            "alone. With options: bittner(start=sbvh), or sbvh(bins=8..128:8) for a tree with "
+            "each value"
         ),
-    ] = "",
+    ] = None,
     tree: Annotated[
         list[str] | None,
         typer.Option(
@@ -671,7 +681,7 @@ def study(
         choices["experiments"] = split(experiments)
     defines = _parse_pairs(define or [], "-D")
     sources = [with_defines(str(part), defines) for source in scenes for part in scenes_in(source)]
-    options = StudyOptions(builders=split(builders), **choices)
+    options = StudyOptions(builders=None if builders is None else split(builders), **choices)
     given = {name: files.split(",") for name, files in _parse_pairs(tree or [], "--tree").items()}
     with Board(len(sources), as_json) as board:
         result = run(

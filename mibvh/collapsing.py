@@ -57,7 +57,8 @@ def collapse(
         Cost of a triangle; what the tree was built with by default.
     max_leaf : int, optional
         Let the dynamic programme make one leaf of what is below a node, where that is cheaper
-        and has no more references than this. By default leaves stay as they are.
+        and has no more references than this. By default leaves stay as they are. What splitting
+        left of a triangle in such a leaf becomes one reference again.
 
     Returns
     -------
@@ -92,11 +93,30 @@ def collapse(
     nodes, child, children = _number(tree.left, kind)
     options = {"width": width, "method": method, "max_leaf": max_leaf,
                "weights": "given" if weights is not None else "area"}  # fmt: skip
+    first, count, references = tree.first[nodes], tree.count[nodes], tree.references
+    if max_leaf is not None and tree.splits_triangles:
+        first, count, references = _without_repeats(child, first, count, references)
     return WideTree(
-        tree.lower[nodes], tree.upper[nodes], child, children, tree.first[nodes],
-        tree.count[nodes], tree.references, width, False,
-        {**tree.meta, **costs, "collapse": options},
+        tree.lower[nodes], tree.upper[nodes], child, children, first, count, references,
+        width, False, {**tree.meta, **costs, "collapse": options},
     )  # fmt: skip
+
+
+def _without_repeats(child: I32, first: I32, count: I32, references: I32) -> tuple[I32, I32, I32]:
+    """Ranges and references without those that name a triangle again in the same leaf."""
+    kept = np.ones(len(references), np.bool_)
+    _mark_repeats(child, first, count, references, kept)
+    place = np.concatenate([[0], np.cumsum(kept)]).astype(np.int32)
+    return place[first], place[first + count] - place[first], references[kept]
+
+
+@njit
+def _mark_repeats(child, first, count, references, kept):
+    for n in range(len(child)):
+        if child[n] < 0:
+            for i in range(first[n] + 1, first[n] + count[n]):
+                if references[i] in references[first[n] : i]:
+                    kept[i] = False
 
 
 def _weights(tree: Tree, weights: npt.ArrayLike | None) -> F64:

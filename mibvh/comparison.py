@@ -12,7 +12,7 @@ import numpy as np
 from mibvh.builders import Options, build
 from mibvh.builders.chosen import parse
 from mibvh.errors import MibvhError
-from mibvh.layouts import read_tree
+from mibvh.layouts import read_binary
 from mibvh.metrics.epo import epo_per_depth
 from mibvh.metrics.sah import sah_per_node
 from mibvh.rays import RaySet, diffuse_rays
@@ -218,7 +218,7 @@ def _name(given: Any) -> str:
 
 def _tree(given: Any, triangles: Triangles) -> Tree:
     if isinstance(given, Path):
-        tree = read_tree(given)
+        tree = read_binary(given)
     elif isinstance(given, Tree):
         tree = given
     else:

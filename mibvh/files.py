@@ -143,6 +143,16 @@ def write_arrays(
         np.savez(file, **contents)
 
 
+def kind_of(path: str | os.PathLike[str]) -> str | None:
+    """What a file of :func:`write_arrays` holds; None if it does not tell, or is none."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            kind = json.loads(str(_member(archive, "header"))).get("kind")
+    except Exception:  # as in read_arrays, which says what is the matter
+        return None
+    return kind if isinstance(kind, str) else None
+
+
 def read_arrays(
     path: str | os.PathLike[str], kind: str, names: tuple[str, ...], *, key: str | None = None
 ) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
@@ -174,6 +184,8 @@ def read_arrays(
         raise MibvhError(f"{path}: there is no such {kind} file")
     if not Path(path).is_file():
         raise MibvhError(f"{path}: is no file")  # to open a pipe would wait for its other end
+    if (told := kind_of(path)) not in (None, kind):
+        raise MibvhError(f"{path}: is a {told} file, not a {kind} file")
     try:
         with zipfile.ZipFile(path) as archive:
             header = json.loads(str(_member(archive, "header")))
@@ -191,8 +203,6 @@ def read_arrays(
         )
     if not sound:
         raise MibvhError(f"{path}: the {kind} file is damaged (its checksum does not match)")
-    if header.get("kind") not in (None, kind):
-        raise MibvhError(f"{path}: is a {header['kind']} file, not a {kind} file")
     if key is not None and header.get("key") != key:
         raise MibvhError(f"{path}: the {kind} file was made from something else (its key differs)")
     return arrays, header["meta"]

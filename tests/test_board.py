@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from mibvh.studies.record.progress import Progress
+from mibvh.studies.record.progress import LEFT_OUT, Progress
 from mibvh.studies.report import board
 from mibvh.studies.report.board import Board
 
@@ -107,3 +107,17 @@ def test_a_piped_study_gives_signs_of_life(capsys, clock):
         "one: done (1 of 1)",
         "study: report (0%)",
     ]
+
+
+def test_scenes_that_are_left_out_are_over(capsys, clock):
+    """The last stage is the report, also where a scene could not be studied."""
+    with Board(2, True) as shown:
+        for step in (STEPS[0], STEPS[3], Progress("two", "", LEFT_OUT, None, 1.0)):
+            shown(step)
+        shown._sign_of_life()
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["scenes_done"] for line in lines] == [0, 1, 2, 2]
+    assert [line["stage"] for line in lines] == ["rays", "done", "left out", "report"]
+    with Board(1, False) as shown:
+        shown(Progress("two", "", LEFT_OUT, None, 1.0))
+    assert capsys.readouterr().err == "two: left out (1 of 1)\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import subprocess
 import time
 
@@ -17,8 +18,9 @@ from mibvh.builders import registry
 from mibvh.builders.chosen import parse, parse_all
 from mibvh.builders.sharing import shared_drafts
 from mibvh.studies.analyse.sweep import sweeps
-from mibvh.studies.measure.rotation import RotationResult
+from mibvh.studies.measure.rotation import RotationResult, rotated
 from mibvh.studies.measure.sensitivity import SensitivityResult
+from mibvh.studies.measure.trees import TreeSource
 from mibvh.studies.run import read_study, write_outputs
 
 CHOICES = {"width": 24, "height": 16, "scalar_rays": 256, "seconds": 0.0}
@@ -132,6 +134,100 @@ def test_only_given_trees_can_be_left_after_those_that_are_built(tmp_path, mine,
     assert found.rotation["builder"].tolist() == ["lbvh"]
     again = read_study(tmp_path)
     write_outputs(again.folder, again.scenes)
+
+
+def test_given_trees_alone(tmp_path, mine, scene):
+    """No builder but those that are asked for; a scene without a tree is left out."""
+    path = tmp_path / "mine.npz"
+    mine.save(path)
+    steps = []
+    found = mibvh.study(
+        [scene, "hairball@300"], tmp_path / "out", trees={"mine": [path, None]}, builders=[],
+        experiments=("all",), progress=steps.append, **CHOICES,
+    )  # fmt: skip
+    assert [tree.builder for record in found.scenes for tree in record.trees] == ["mine"]
+    assert found.left_out == {
+        "hairball@300": "hairball@300: there is no builder, and no tree of it is given"
+    }
+    assert found.failures == []
+    assert "mine" in found.report.read_text()
+    over = [(step.scene, step.stage) for step in steps if step.done == 1.0]
+    assert over == [("hairball@300", "left out"), (scene.name, "done")]
+    again = read_study(tmp_path / "out")
+    write_outputs(again.folder, again.scenes)
+    with pytest.raises(mibvh.MibvhError, match="a study needs builders or trees"):
+        mibvh.study(scene, tmp_path / "none", builders=[], **CHOICES)
+    from typer.testing import CliRunner
+
+    from mibvh.cli import app
+
+    words = ["study", SCENE, "-o", tmp_path / "cli", "--tree", f"mine={path}", "--builders", ""]
+    ran = CliRunner().invoke(app, [*map(str, words), "--seconds", "0", "--json"])
+    assert ran.exit_code == 0, ran.output
+    result = json.loads(ran.stdout.splitlines()[-1])
+    assert [row["builder"] for row in result["trees"]] == ["mine"]
+
+
+FINITE = "finite(count=1000,planes=16,effort=1)"
+
+
+def test_finite_is_built_for_the_cameras_of_the_scene(tmp_path, scene):
+    """Its trees go by the cameras, and no ray that it is built for is one that is measured."""
+    choices = {**CHOICES, "experiments": ("rotation",)}
+
+    def one(scene):
+        return mibvh.study(scene, tmp_path / "out", builders=["bbvh", FINITE], **choices).scenes[0]
+
+    first = one(scene)
+    report = first.trees[1].build_report
+    assert report["rays"] == f"diffuse rays of {len(scene.sensors)} viewpoints"
+    turned = [row for row in first.results["rotation"].trees if row.builder == FINITE]
+    assert turned[0].build_report["rays"] == report["rays"]
+    training = scene.few_rays(1000, report["seed"])
+    measured = mibvh.diffuse_rays(scene, width=24, height=16, samples=1, seed=0)
+    both = np.concatenate([np.unique(training.o, axis=0), np.unique(measured.o, axis=0)])
+    assert len(np.unique(both, axis=0)) == len(both)
+    # One camera fewer: `finite` is another tree, and `bbvh` is not built again.
+    fewer = dataclasses.replace(scene, sensors=scene.sensors[:-1])
+    second = one(fewer)
+    said = second.trees[1].build_report["rays"]
+    assert said == f"diffuse rays of {len(scene.sensors) - 1} viewpoints"
+    assert second.trees[0].values["build_seconds"] == first.trees[0].values["build_seconds"]
+    assert second.trees[1].values["build_seconds"] != first.trees[1].values["build_seconds"]
+    third = one(fewer)
+    assert third.trees[1].values["build_seconds"] == second.trees[1].values["build_seconds"]
+
+
+def test_rays_of_the_rotated_scene_are_those_of_its_cameras_rotated(scene):
+    rays = mibvh.diffuse_rays(scene, width=24, height=16, samples=1)
+    turned, _ = rotated(scene, rays)
+    before, after = scene.few_rays(500, 7), turned.few_rays(500, 7)
+    matrix = mibvh.rotation_about((1.0, 1.0, 1.0), 45.0)
+    np.testing.assert_allclose(after.d, before.d @ np.asarray(matrix).T, atol=1e-6)
+    after.check_matches(turned.triangles)
+    hits = [
+        mibvh.trace(mibvh.build(of, "bbvh"), of, few, repeats=1).triangle
+        for of, few in ((scene, before), (turned, after))
+    ]
+    assert (hits[0] == hits[1]).mean() > 0.98
+
+
+def test_finite_is_not_built_for_the_rays_that_are_measured(tmp_path, scene):
+    with pytest.raises(
+        mibvh.MibvhError, match=r"finite\(seed=3\) would be built for the rays that"
+    ):
+        mibvh.study(scene, tmp_path, builders=["finite(seed=3)"], seed=3, **CHOICES)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_an_option_names_is_part_of_the_key(tmp_path, scene):
+    path = tmp_path / "rays.npz"
+    source = TreeSource.of(parse(f"finite(rays={path})")[0])
+    keys = []
+    for seed in (1, 1, 2):
+        scene.few_rays(100, seed).save(path)
+        keys.append(source.key(scene))
+    assert keys[0] == keys[1] != keys[2]
 
 
 def test_given_trees_go_by_their_content(tmp_path, scene, mine):

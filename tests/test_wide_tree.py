@@ -47,6 +47,22 @@ def test_collapsed_trees_are_sound_and_keep_what_is_in_the_leaves(builder, width
     assert found <= binary
 
 
+@pytest.mark.parametrize("width", [2, 8])
+def test_new_leaves_hold_no_triangle_twice(width):
+    """Where the programme makes a leaf of several that have parts of one triangle."""
+    triangles = mibvh.load("powerplant@2000").triangles
+    tree = mibvh.build(triangles, "sbvh", max_leaf=1)
+    wide = collapse(tree, width, max_leaf=8, c_inner=30.0)  # leaves are made wherever they may be
+    assert wide.validate(triangles) == []
+    assert wide.count[wide.is_leaf].max() > 1
+    assert len(wide.references) < len(tree.references)
+    assert set(wide.references) == set(range(len(triangles)))
+    built, wide = mibvh.build_wide(triangles, "sbvh", width), collapse(tree, width, max_leaf=8)
+    for name in ("lower", "upper", "child", "children", "first", "count", "references"):
+        np.testing.assert_array_equal(getattr(built, name), getattr(wide, name))
+    assert built.meta["options"]["max_leaf"] == 8
+
+
 @pytest.mark.parametrize("builder", ["lbvh", "streelet"])
 def test_width_two_is_the_binary_tree(builder):
     _, tree = tree_of(builder)

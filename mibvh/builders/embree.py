@@ -5,6 +5,9 @@ Wald, Woop, Benthin, Johnson and Ernst: *Embree: A Kernel Framework for Efficien
 binned SAH with spatial splits (``high``), down to one reference per leaf. It asks for nodes, leaves
 and parts of triangles through callbacks, which Numba compiles. Like any builder's, the draft then
 gets its bounds and leaves from the shared finishing.
+
+A tree of four or eight children per node (:func:`mibvh.build_wide`) is Embree's own, leaves
+included: no finishing touches it.
 """
 
 from __future__ import annotations
@@ -28,7 +31,9 @@ from mibvh.builders.draft import Draft, References
 from mibvh.builders.registry import Context, Options, builder, option
 from mibvh.builders.splitting import MAX_CORNERS, split_reference
 from mibvh.errors import MibvhError
+from mibvh.tree import MAX_DEPTH
 from mibvh.triangles import Triangles
+from mibvh.wide_tree import C_BOX, WideTree
 
 #: Mitsuba's Embree stands in a C++ namespace of its own, so its functions have mangled names
 #: (Itanium ABI: Linux and macOS).
@@ -42,10 +47,11 @@ _NAMES = {
     "rtcThreadLocalAlloc": ("_ZN7mitsuba19rtcThreadLocalAllocEPNS_25RTCThreadLocalAllocatorTyEmm"),
 }
 _QUALITIES = {"low": 0, "medium": 1, "high": 2}
-#: Deeper than any tree is; Embree gives up at the limit, the shared finishing mends depth.
+#: Deeper than any tree is. Embree gives up at the limit; the shared finishing mends depth. Near the
+#: limit of a wide tree, Embree halves what is left.
 _MAX_DEPTH = 1 << 20
-#: Bytes of a node (its number of children, two pointers) and of a leaf (0, the triangle, its box).
-_NODE, _LEAF = 24, 40
+#: Triangles that Embree puts into a leaf at most.
+_MAX_LEAF = 32
 #: A row of Embree's ``RTCBuildPrimitive``.
 _PRIMITIVE = np.dtype(
     [("lower", "f4", 3), ("geometry", "u4"), ("upper", "f4", 3), ("triangle", "u4")]
@@ -133,30 +139,30 @@ def _callbacks() -> dict[str, Any]:
     allocate = _library().rtcThreadLocalAlloc
     pointer, size, uint = types.voidptr, types.uintp, types.uint32
 
+    # A node is its number of children, then pointers to them; a leaf is the number of its
+    # references, negative, then their rows, 16 bytes further on.
     def create_node(allocator, children, _user):
-        memory = allocate(allocator, _NODE, 16)
-        words = numba.carray(_pointer(memory), 3, np.int64)
+        memory = allocate(allocator, 8 * (1 + children), 16)
+        words = numba.carray(_pointer(memory), 1, np.int64)
         words[0] = children
         return memory
 
     def set_children(node, children, count, _user):
-        words = numba.carray(node, 3, np.int64)
-        given = numba.carray(children, 2, np.int64)
+        words = numba.carray(node, 1 + count, np.int64)
+        given = numba.carray(children, count, np.int64)
         for i in range(count):
             words[1 + i] = given[i]
 
     def set_bounds(_node, _bounds, _count, _user):
         pass
 
-    def create_leaf(allocator, primitives, _count, _user):
-        memory = allocate(allocator, _LEAF, 16)
-        words = numba.carray(_pointer(memory), 2, np.int64)
-        box = numba.carray(_pointer(memory), 10, np.float32)
-        given = numba.carray(primitives, 8, np.float32)
-        words[0] = 0
-        words[1] = numba.carray(primitives, 8, np.uint32)[7]
-        for k in range(3):
-            box[4 + k], box[7 + k] = given[k], given[4 + k]
+    def create_leaf(allocator, primitives, count, _user):
+        memory = allocate(allocator, 16 + 32 * count, 16)
+        words = numba.carray(_pointer(memory), 2 + 4 * count, np.int64)
+        given = numba.carray(primitives, 4 * count, np.int64)
+        words[0] = -np.int64(count)
+        for i in range(4 * count):
+            words[2 + i] = given[i]
         return memory
 
     def split(primitive, axis, plane, left, right, user):
@@ -206,11 +212,9 @@ def _gather(root, room):
         top -= 1
         address, place = todo[top, 0], todo[top, 1]
         words = numba.carray(_pointer(address), 3, np.int64)
-        if words[0] == 0:
-            box = numba.carray(_pointer(address), 10, np.float32)
-            reference[place], triangle[leaves] = leaves, words[1]
-            for k in range(3):
-                lower[leaves, k], upper[leaves, k] = box[4 + k], box[7 + k]
+        if words[0] < 0:
+            triangle[leaves] = _row(address, 0, lower[leaves], upper[leaves])
+            reference[place] = leaves
             leaves += 1
             continue
         left[place], right[place] = nodes, nodes + 1
@@ -219,6 +223,62 @@ def _gather(root, room):
         nodes, top = nodes + 2, top + 2
     links = left[:nodes].copy(), right[:nodes].copy(), reference[:nodes].copy()
     return links, lower[:leaves].copy(), upper[:leaves].copy(), triangle[:leaves].copy()
+
+
+@njit
+def _row(leaf, i, lower, upper):
+    """Copy the box of a leaf's reference, and return its triangle."""
+    box = numba.carray(_pointer(leaf + 16 + 32 * i), 8, np.float32)
+    for k in range(3):
+        lower[k], upper[k] = box[k], box[4 + k]
+    return np.int32(numba.carray(_pointer(leaf + 16 + 32 * i), 8, np.uint32)[7])
+
+
+@njit
+def _gather_wide(root, room, width):
+    """Nodes of a wide tree in Embree's memory, parents before children, in builder units.
+
+    What splitting left of a triangle in one leaf is one reference again.
+    """
+    lower, upper = np.empty((2 * room, 3), np.float32), np.empty((2 * room, 3), np.float32)
+    rows = np.full((2 * room, width), -1, np.int32)
+    parent = np.full(2 * room, -1, np.int32)
+    first, count = np.zeros(2 * room, np.int32), np.zeros(2 * room, np.int32)
+    triangle = np.empty(room, np.int32)
+    low, high = np.empty(3, np.float32), np.empty(3, np.float32)
+    todo = np.empty((room + 1, 2), np.int64)
+    todo[0, 0], todo[0, 1], top = root, 0, 1
+    nodes, used = 1, 0
+    while top > 0:
+        top -= 1
+        address, n = todo[top, 0], todo[top, 1]
+        size = numba.carray(_pointer(address), 1, np.int64)[0]
+        lower[n], upper[n] = np.inf, -np.inf
+        if size > 0:
+            words = numba.carray(_pointer(address), 1 + size, np.int64)
+            for i in range(size):
+                rows[n, i], parent[nodes] = nodes, n
+                todo[top, 0], todo[top, 1] = words[1 + i], nodes
+                nodes, top = nodes + 1, top + 1
+            continue
+        first[n] = used
+        for i in range(-size):
+            triangle[used] = _row(address, i, low, high)
+            _widen(lower[n], upper[n], low, high)
+            if triangle[used] not in triangle[first[n] : used]:
+                used += 1
+        count[n] = used - first[n]
+    for n in range(nodes - 1, 0, -1):
+        _widen(lower[parent[n]], upper[parent[n]], lower[n], upper[n])
+    return (
+        lower[:nodes], upper[:nodes], rows[:nodes], first[:nodes], count[:nodes], triangle[:used],
+    )  # fmt: skip
+
+
+@njit
+def _widen(lower, upper, low, high):
+    for k in range(3):
+        lower[k], upper[k] = min(lower[k], low[k]), max(upper[k], high[k])
 
 
 # ------------------------------------------------------------------ the builder
@@ -253,14 +313,15 @@ def _primitives(references: References, room: int) -> Any:
     return rows
 
 
-@builder(
-    "embree",
-    summary="the builder of the Embree library that Mitsuba ships",
-    source="Wald et al. 2014",
-    options=EmbreeOptions,
-)
-def embree(triangles: Triangles, options: EmbreeOptions, context: Context) -> Draft:
-    """Let Embree build down to single references."""
+def _built(
+    triangles: Triangles, options: EmbreeOptions, width: int, gather: Any
+) -> tuple[Any, float]:
+    """Let Embree build, and take its nodes over before it lets go of them.
+
+    Returns
+    -------
+    What ``gather`` returns of the root and the room for references, and the units' scale.
+    """
     references = References.of(triangles)
     count = len(references)
     room = count + int(options.budget * count) if options.quality == "high" else count
@@ -275,8 +336,12 @@ def embree(triangles: Triangles, options: EmbreeOptions, context: Context) -> Dr
     try:
         arguments = _Arguments(
             byteSize=ctypes.sizeof(_Arguments), buildQuality=_QUALITIES[options.quality],
-            maxBranchingFactor=2, maxDepth=_MAX_DEPTH, sahBlockSize=1, minLeafSize=1, maxLeafSize=1,
-            traversalCost=options.c_inner, intersectionCost=options.c_tri, bvh=bvh,
+            maxBranchingFactor=width, maxDepth=_MAX_DEPTH if width == 2 else MAX_DEPTH,
+            sahBlockSize=1, minLeafSize=1,
+            maxLeafSize=1 if width == 2 else min(options.max_leaf, _MAX_LEAF),
+            # Embree counts splits: a node of `width` children is made by one fewer.
+            traversalCost=(options.c_inner + C_BOX * (width - 2)) / (width - 1),
+            intersectionCost=options.c_tri, bvh=bvh,
             primitives=rows.ctypes.data, primitiveCount=count, primitiveArrayCapacity=room,
             userPtr=corners.ctypes.data,
             **{name: function.address for name, function in callbacks.items()},
@@ -285,10 +350,31 @@ def embree(triangles: Triangles, options: EmbreeOptions, context: Context) -> Dr
         error = library.rtcGetDeviceError(device)
         if not root or error:
             raise MibvhError(f"builder embree: Embree gave up (its error {error})")
-        links, lower, upper, triangle = _gather(root, room)
+        return gather(root, room), references.scale
     finally:
         library.rtcReleaseBVH(bvh)
         library.rtcReleaseDevice(device)
-    return Draft(
-        References(lower, upper, triangle, references.scale), *links, {"references": len(triangle)}
-    )
+
+
+def embree_wide(triangles: Triangles, options: EmbreeOptions, width: int) -> WideTree:
+    """Let Embree build nodes of up to ``width`` children, and leaves of up to ``max_leaf``."""
+
+    def gather(root: int, room: int) -> Any:
+        return _gather_wide(root, room, width)
+
+    (lower, upper, *rest), scale = _built(triangles, options, width, gather)
+    unscale = np.float32(1.0 / scale)
+    return WideTree.from_nodes(lower * unscale, upper * unscale, *rest)
+
+
+@builder(
+    "embree",
+    summary="the builder of the Embree library that Mitsuba ships",
+    source="Wald et al. 2014",
+    options=EmbreeOptions,
+    wide=embree_wide,
+)
+def embree(triangles: Triangles, options: EmbreeOptions, context: Context) -> Draft:
+    """Let Embree build down to single references."""
+    (links, lower, upper, triangle), scale = _built(triangles, options, 2, _gather)
+    return Draft(References(lower, upper, triangle, scale), *links, {"references": len(triangle)})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from mibvh.measures import Area, Measure
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles, as_triangles
 from mibvh.version import __version__
+from mibvh.wide_tree import WideTree
 
 
 def option(default: Any, help: str, low: float | None = None, high: float | None = None) -> Any:
@@ -114,6 +115,7 @@ class Context:
 
 
 BuildFunction = Callable[[Any, Any, Context], Any]
+WideFunction = Callable[[Any, Any, int], WideTree]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,6 +134,11 @@ class Builder:
     version : str or None
         Of a user's builder, if it declares one: a study keeps its trees while this is the same,
         and builds them anew in every run where there is none.
+    wide : callable or None
+        ``wide(triangles, options, width)`` returning a :class:`~mibvh.WideTree`, of a builder that
+        makes wide trees itself.
+    traces : bool
+        Whether it asks the scene for rays, so that its trees depend on the cameras.
     """
 
     name: str
@@ -140,6 +147,29 @@ class Builder:
     options: type[Options]
     function: BuildFunction
     version: str | None = None
+    wide: WideFunction | None = None
+    traces: bool = False
+
+    @property
+    def asks_scene(self) -> bool:
+        """Whether its trees may depend on more of a scene than the triangles."""
+        return self.traces or self.name not in {*_BUNDLED, *_LATER}
+
+    def options_of(self, given: Mapping[str, Any]) -> Options:
+        """Options by name.
+
+        Raises
+        ------
+        MibvhError
+            If the builder has none of that name, or the value is impossible.
+        """
+        known = {f.name for f in dataclasses.fields(self.options)}
+        if unknown := sorted(set(given) - known):
+            raise MibvhError(
+                f"builder {self.name} has no option {unknown[0]!r}"
+                f"{did_you_mean(unknown[0], known)}; it has: {', '.join(sorted(known))}"
+            )
+        return self.options(**given)
 
     def start_options(self, of: Options) -> Options:
         """Options for a tree that a builder with these options starts from."""
@@ -229,6 +259,8 @@ def builder(
     source: str = "",
     options: type[Options] = Options,
     version: str | None = None,
+    wide: WideFunction | None = None,
+    traces: bool = False,
 ) -> Callable[[BuildFunction], BuildFunction]:
     """Register a builder; the study and the command line take it like the paper's own.
 
@@ -244,6 +276,11 @@ def builder(
     version : str, optional
         To be changed with everything that changes the builder's trees: a study keeps trees of a
         builder with a version, and builds those of one without in every run.
+    wide : callable, optional
+        ``wide(triangles, options, width)``, which returns a :class:`~mibvh.WideTree`: what
+        :func:`mibvh.build_wide` calls instead of collapsing the builder's binary tree.
+    traces : bool
+        Whether it asks the scene for rays (:attr:`Context.source`).
 
     Returns
     -------
@@ -266,7 +303,7 @@ def builder(
     """
 
     def register(function: BuildFunction) -> BuildFunction:
-        _registered[name] = Builder(name, summary, source, options, function, version)
+        _registered[name] = Builder(name, summary, source, options, function, version, wide, traces)
         return function
 
     return register
@@ -312,6 +349,12 @@ def get(name: str) -> Builder:
 _warm: set[str] = set()
 
 
+def next_to_nothing() -> Triangles:
+    """Triangles that builders run on once, so that they are compiled."""
+    corners = np.random.default_rng(0).random((24, 3, 3))
+    return Triangles(corners.astype(np.float32), "warm-up")
+
+
 def _warm_up(name: str, progress: Callable[[str, float], None]) -> None:
     """Run one of the paper's builders once on next to nothing.
 
@@ -321,9 +364,7 @@ def _warm_up(name: str, progress: Callable[[str, float], None]) -> None:
         return
     progress("compiling", 0.0)
     if name in _BUNDLED or name in _LATER:
-        corners = np.random.default_rng(0).random((24, 3, 3))
-        triangles = Triangles(corners.astype(np.float32), "warm-up")
-        entry = get(name)
+        triangles, entry = next_to_nothing(), get(name)
         chosen = entry.options()
         draft = entry.draft(triangles, chosen, Context())
         finish(draft, c_inner=1.2, c_tri=1.0, max_leaf=8, meta={"triangles": len(triangles)})
@@ -376,13 +417,7 @@ def build(
     """
     source, triangles = triangles, as_triangles(triangles)
     entry = get(builder)
-    known = {f.name for f in dataclasses.fields(entry.options)}
-    if unknown := sorted(set(options) - known):
-        raise MibvhError(
-            f"builder {builder} has no option {unknown[0]!r}{did_you_mean(unknown[0], known)}; "
-            f"it has: {', '.join(sorted(known))}"
-        )
-    chosen = entry.options(**options)
+    chosen = entry.options_of(options)
     context = Context(progress or Context.progress, measure or _AREA, source)
     _warm_up(builder, context.progress)
     context.progress("building", 0.0)

@@ -13,13 +13,17 @@ from pathlib import Path
 from typing import Any
 
 from mibvh.errors import MibvhError
-from mibvh.files import atomic_path
+from mibvh.files import atomic_path, kind_of
 from mibvh.tree import Tree
+from mibvh.wide_tree import WideTree
 
-#: Names of the layouts, and the modules that read and write them.
+#: Names of the layouts, and the modules that read and write them; behind a colon, what they are
+#: called there, if not LAYOUT.
 LAYOUTS = {
     "mibvh": "mibvh.layouts.plain",
     "tinybvh": "mibvh.layouts.tinybvh",
+    "mbvh4": "mibvh.layouts.mbvh:FOUR",
+    "mbvh8": "mibvh.layouts.mbvh:EIGHT",
     "madmann91": "mibvh.layouts.madmann91",
     "npz": "mibvh.layouts.npz",
 }
@@ -34,14 +38,18 @@ class Layout:
     summary : str
         One line on what it is.
     parse : callable
-        From the file's bytes to what :meth:`mibvh.Tree.from_arrays` takes.
+        From the file's bytes to what :meth:`mibvh.Tree.from_arrays` takes, or, of a wide layout,
+        :meth:`mibvh.WideTree.from_nodes`.
     pack : callable
         From a tree to the file's bytes.
+    width : int
+        Children that a node may have.
     """
 
     summary: str
     parse: Callable[[bytes], dict[str, Any]]
-    pack: Callable[[Tree], bytes]
+    pack: Callable[[Any], bytes]
+    width: int = 2
 
 
 def get(name: str) -> Any:
@@ -54,10 +62,13 @@ def get(name: str) -> Any:
     """
     if name not in LAYOUTS:
         raise MibvhError(f"there is no layout {name!r}; there are: {', '.join(LAYOUTS)}")
-    return importlib.import_module(LAYOUTS[name]).LAYOUT
+    module, _, called = LAYOUTS[name].partition(":")
+    return getattr(importlib.import_module(module), called or "LAYOUT")
 
 
-def read_tree(path: str | os.PathLike[str], layout: str | None = None, name: str = "") -> Tree:
+def read_tree(
+    path: str | os.PathLike[str], layout: str | None = None, name: str = ""
+) -> Tree | WideTree:
     """Read a tree that another program wrote. No box, leaf or reference is changed.
 
     Parameters
@@ -70,7 +81,8 @@ def read_tree(path: str | os.PathLike[str], layout: str | None = None, name: str
 
     Returns
     -------
-    Tree
+    Tree or WideTree
+        A wide one of the layouts of more than two children per node, and of a wide tree's file.
 
     Raises
     ------
@@ -82,24 +94,46 @@ def read_tree(path: str | os.PathLike[str], layout: str | None = None, name: str
         layout = "npz" if path.suffix == ".npz" else "mibvh"
     chosen = get(layout)
     if layout == "npz":
-        return Tree.load(path)
+        return WideTree.load(path) if kind_of(path) == "wide tree" else Tree.load(path)
     if not path.is_file():
         raise MibvhError(f"{path}: there is no such file")
     try:
         arrays = chosen.parse(path.read_bytes())
-        return Tree.from_arrays(**arrays, name=name or path.stem)
+        if chosen.width == 2:
+            return Tree.from_arrays(**arrays, name=name or path.stem)
+        wide = WideTree.from_nodes(**arrays, meta={"builder": name or path.stem})
+        wide.check()
+        return wide
     except OSError as error:
         raise MibvhError(f"{path}: cannot be read ({error.strerror})") from None
     except MibvhError as error:
         raise MibvhError(f"{path}: {error}") from None
 
 
-def write_tree(tree: Tree, path: str | os.PathLike[str], layout: str | None = None) -> None:
+def read_binary(path: str | os.PathLike[str], name: str = "") -> Tree:
+    """Read a tree as :func:`read_tree` does, where only a binary one will do.
+
+    Raises
+    ------
+    MibvhError
+        As of that, or if it is a wide one.
+    """
+    tree = read_tree(path, name=name)
+    if isinstance(tree, WideTree):
+        raise MibvhError(
+            f"{path}: has up to {tree.width} children per node; only binary trees can be taken here"
+        )
+    return tree
+
+
+def write_tree(
+    tree: Tree | WideTree, path: str | os.PathLike[str], layout: str | None = None
+) -> None:
     """Write a tree for another program.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     path : path
     layout : str, optional
         As for :func:`read_tree`.
@@ -117,6 +151,11 @@ def write_tree(tree: Tree, path: str | os.PathLike[str], layout: str | None = No
     if layout == "npz":
         tree.save(path)
         return
+    width = tree.width if isinstance(tree, WideTree) else 2
+    if width != chosen.width:
+        raise MibvhError(
+            f"layout {layout} is for trees of {chosen.width} children per node, not {width}"
+        )
     data = chosen.pack(tree)
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)

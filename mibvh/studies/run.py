@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mibvh.builders import names
+from mibvh.builders import get, names
 from mibvh.builders.chosen import parse_all
 from mibvh.code import code_digest
 from mibvh.errors import MibvhError, did_you_mean
@@ -28,7 +28,7 @@ from mibvh.studies.measure.scene import study_scene
 from mibvh.studies.measure.store import Store
 from mibvh.studies.paper.catalogue import triangle_count_notes
 from mibvh.studies.record.options import StudyOptions
-from mibvh.studies.record.progress import Listener, Progress
+from mibvh.studies.record.progress import LEFT_OUT, Listener, Progress
 from mibvh.studies.record.scene import FORMAT, SceneRecord
 from mibvh.studies.record.serialise import from_json, to_json
 from mibvh.studies.sources import Source, checked, study_sources
@@ -175,11 +175,26 @@ def study(
     if scheduler is None or trees or rays is not None:
         sources, unreadable = checked(sources, keep=scheduler is None)
         left_out |= unreadable
+    if not options.builders:
+        if not trees:
+            raise MibvhError(
+                "a study needs builders or trees; where builders are not mentioned, it has all of "
+                "the paper's"
+            )
+        bare = {
+            one.name: f"{one.name}: there is no builder, and no tree of it is given"
+            for one in sources
+            if not one.trees
+        }
+        sources, left_out = [one for one in sources if one.name not in bare], left_out | bare
     if not sources:
         raise MibvhError(next(iter(left_out.values())))
+    listener = _listener(progress)
+    for name in left_out:
+        listener(Progress(name, "", LEFT_OUT, None, 1.0))
     store = Store(Path(folder) / "cache")
     with alone_in(Path(folder)):
-        return _study(sources, left_out, store, options, _listener(progress), scheduler)
+        return _study(sources, left_out, store, options, listener, scheduler)
 
 
 def _study(
@@ -202,6 +217,7 @@ def _study(
     for source, record in zip(sources, found, strict=True):
         if isinstance(record, MibvhError):
             left_out[source.name] = str(record)
+            listener(Progress(source.name, "", LEFT_OUT, None, 1.0))
             continue
         notes = [*record.notes, *triangle_count_notes(record.scene, record.triangles)]
         records.append(dataclasses.replace(record, notes=notes))
@@ -229,7 +245,15 @@ def _options(choices: dict[str, Any]) -> StudyOptions:
 
 def _with_builders(options: StudyOptions) -> StudyOptions:
     """Fill in the builders, and see that each is known, its options too, and named once."""
-    chosen = parse_all(options.builders or tuple(names()))
+    chosen = parse_all(tuple(names()) if options.builders is None else options.builders)
+    for one in chosen:
+        entry = get(one.builder)
+        seed = getattr(entry.options(**dict(one.options)), "seed", None)
+        if entry.traces and seed == options.seed:
+            raise MibvhError(
+                f"{one.name} would be built for the rays that it is measured with: give the study "
+                f"another seed than {seed}, or the builder"
+            )
     return dataclasses.replace(options, builders=tuple(one.name for one in chosen))
 
 

@@ -6,14 +6,13 @@ import dataclasses
 import os
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from mibvh.builders.chosen import known
 from mibvh.errors import MibvhError, did_you_mean
-from mibvh.layouts import read_tree
+from mibvh.layouts import read_binary
 from mibvh.rays import read_rays
 from mibvh.scene import Scene, load, scene_name
 from mibvh.studies.measure.given import Given
@@ -201,5 +200,5 @@ def _tree(name: str, given: Any) -> Tree:
     if isinstance(given, Tree):
         return given
     if isinstance(given, str | os.PathLike):
-        return read_tree(Path(given), name=name)
+        return read_binary(given, name)
     raise MibvhError(f"tree {name} is a Tree or a file, not a {type(given).__name__}")

@@ -25,7 +25,7 @@ from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import Result, Timing, TreeRow
 from mibvh.traversal.records import make_records, unit_scale
 from mibvh.traversal.trace import Tracer
-from mibvh.triangles import rotation_about
+from mibvh.triangles import F64, rotation_about
 
 AXIS = (1.0, 1.0, 1.0)
 DEGREES = 45.0
@@ -63,12 +63,35 @@ class _SameHits:
     share: float
 
 
+@dataclasses.dataclass(eq=False)
+class _Rotated(Scene):
+    """A rotated scene; its cameras stand where they stood, their rays are rotated.
+
+    Attributes
+    ----------
+    before : Scene
+    matrix : (3, 3) float64
+    """
+
+    before: Scene | None = None
+    matrix: F64 | None = None
+
+    def few_rays(self, count: int, seed: int) -> RaySet:
+        """As :meth:`mibvh.Scene.few_rays`."""
+        assert self.before is not None
+        assert self.matrix is not None
+        found: RaySet = self.before.few_rays(count, seed)
+        return found.rotated(self.matrix, self.triangles)
+
+
 def rotated(scene: Scene, rays: RaySet) -> tuple[Scene, RaySet]:
     """Rotate a scene's triangles and its rays alike."""
     matrix = rotation_about(AXIS, DEGREES)
     triangles = dataclasses.replace(scene.triangles.rotated(matrix), name=scene.name)
     moved = rays.rotated(matrix, triangles)
-    return dataclasses.replace(scene, triangles=triangles), moved
+    facts = {field.name: getattr(scene, field.name) for field in dataclasses.fields(Scene)}
+    facts["triangles"] = triangles
+    return _Rotated(**facts, before=scene, matrix=matrix), moved
 
 
 def rotation_experiment(setting: Setting, report: Reporter) -> RotationResult:

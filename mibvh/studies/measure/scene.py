@@ -98,7 +98,7 @@ def _predict(
     machine = environment()
     report("rays", 0.0)
     rays = _rays(scene, options, store) if given.rays is None else given.rays
-    sources = sources_of(options.builders, given.trees)
+    sources = sources_of(options.builders or (), given.trees)
     counter = RayCounter(scene, rays, options.cull, WarpRules(**options.warps()))
     trees, rows = study_trees(sources, counter, store, report)
     own = given.rays is not None

@@ -109,7 +109,7 @@ def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _
         return _Sizes([])
     entry = get(source.chosen.builder)
     options = entry.options(**dict(source.chosen.options))
-    draft = entry.run(triangles, options, Context())
+    draft = entry.run(triangles, options, Context(source=scene))
     if isinstance(draft, Tree):
         return _Sizes([])
     some = rays.select(slice(None, None, -(-len(rays) // _LEAF_RAYS)))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +15,9 @@ from mibvh.builders import Options, build, get
 from mibvh.builders.chosen import Chosen, parse_all
 from mibvh.builders.sharing import shared_drafts
 from mibvh.metrics.registry import Subject, added_metrics, bundled_metrics
+from mibvh.scene import Scene
 from mibvh.studies.measure.audit import Auditor, Checks
+from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import LINES, Counts, RayCounter
 from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.store import Store, key_of
@@ -54,8 +58,8 @@ class TreeSource:
         """Return the builders of the trees that this one is made from, with their options."""
         return self.chosen.starts() if self.chosen else frozenset()
 
-    def key(self, triangles: Triangles) -> str | None:
-        """Return what its tree of these triangles is kept under; None if it is not kept."""
+    def key(self, scene: Scene) -> str | None:
+        """Return what its tree of this scene is kept under; None if it is not kept."""
         if self.chosen is None:
             return None
         # The builder of the tree that it starts from may be the user's own.
@@ -63,22 +67,39 @@ class TreeSource:
         code = [get(name).code() for name in made_by]
         if None in code:
             return None
+        asks = any(get(name).asks_scene for name in made_by)
         return key_of(
-            digest=triangles.digest,
+            *(["mibvh.rays.diffuse"] if asks else []),
+            digest=scene.triangles.digest,
             builder=self.chosen.builder,
             options=dict(self.chosen.options),
             of_builder=code,
+            files=self._files(),
+            cameras=cameras(scene) if asks else None,
         )
 
-    def make(self, triangles: Triangles, report: Reporter) -> Tree:
-        """Build the tree. Stages of a builder are not reported, but that it has to be compiled."""
+    def _files(self) -> dict[str, str]:
+        """Hash of each file that an option names."""
+        options = dict(self.chosen.options) if self.chosen else {}
+        named = {k: Path(v) for k, v in options.items() if isinstance(v, str)}
+        return {
+            name: hashlib.sha256(path.read_bytes()).hexdigest()
+            for name, path in named.items()
+            if path.is_file()
+        }
+
+    def make(self, scene: Scene, report: Reporter) -> Tree:
+        """Build the tree. Stages of a builder are not reported, but that it has to be compiled.
+
+        The builder is handed the scene: one that asks for rays gets those of its cameras.
+        """
         assert self.chosen is not None, "a tree that was given is not built"
 
         def progress(stage: str, done: float) -> None:
             report("compiling" if stage == "compiling" else "build", 0.0)
 
         options = dict(self.chosen.options)
-        return build(triangles, self.chosen.builder, progress=progress, **options)
+        return build(scene, self.chosen.builder, progress=progress, **options)
 
 
 def sources_of(builders: Sequence[str], trees: Mapping[str, Tree]) -> dict[str, TreeSource]:
@@ -150,11 +171,11 @@ def study_tree(
         Without times.
     """
     triangles = counter.triangles
-    key = source.key(triangles)
+    key = source.key(counter.scene)
     report(_first_stage(source, store, key), 0.0)
     made = source.tree
     if made is None:
-        made = store.array(Tree, key, functools.partial(source.make, triangles, report))
+        made = store.array(Tree, key, functools.partial(source.make, counter.scene, report))
     tree = judged_alike(made)
     report("metrics", 0.5)
     judge = functools.partial(judge_tree, tree, triangles)

@@ -20,10 +20,11 @@ class StudyOptions:
 
     Attributes
     ----------
-    builders : tuple of str
+    builders : tuple of str or None
         Names, with options in parentheses where they are not the defaults, such as
         ``sbvh(budget=2)`` (see :mod:`mibvh.builders.chosen`); or one text of them, separated by
-        commas. Empty for all that are registered.
+        commas. None for all of the paper's and the user's own; empty for none, so that only
+        given trees are studied.
     experiments : tuple of str
         From :data:`EXPERIMENTS`, or one text of them; ``("all",)`` for all of them.
     width, height, samples, bounces, viewpoints, seed
@@ -42,7 +43,7 @@ class StudyOptions:
         Their rules, from :data:`mibvh.traversal.warp.STYLES`; by default the paper's kernel.
     """
 
-    builders: tuple[str, ...] = ()
+    builders: tuple[str, ...] | None = None
     experiments: tuple[str, ...] = ("prediction", "depth")
     width: int = 160
     height: int = 120
@@ -66,6 +67,8 @@ class StudyOptions:
         self._check_warps()
         for name in ("builders", "experiments"):
             given = getattr(self, name)
+            if given is None and name == "builders":
+                continue
             names = split(given) if isinstance(given, str) else _names(name, given)
             object.__setattr__(self, name, names)
         if self.experiments == ("all",):

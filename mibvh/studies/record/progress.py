@@ -5,6 +5,9 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
+#: The last stage of a scene that cannot be studied.
+LEFT_OUT = "left out"
+
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
@@ -14,7 +17,7 @@ class Progress:
     ----------
     scene, experiment, stage : str
         The stage is ``rays``, ``compiling``, ``build``, ``metrics``, ``count``, ``time scalar``
-        and so on; ``done`` when the scene is finished.
+        and so on; ``done`` when the scene is finished, ``left out`` when it cannot be studied.
     builder : str or None
         Whose tree is in hand; None for what concerns all trees.
     done : float

@@ -86,7 +86,7 @@ class Board:
             elif self._bars:
                 self._draw(step, left)
             elif done == 1.0:
-                sys.stderr.write(f"{scene}: done ({self._finished} of {self._scenes})\n")
+                sys.stderr.write(f"{scene}: {step.stage} ({self._finished} of {self._scenes})\n")
                 self._heartbeat.beat()
 
     def _time_left(self, scene: str, now: float) -> _Left:
