@@ -151,16 +151,17 @@ def rays_of(scene: Any, folder: Path | None, width: int) -> Any:
     return mibvh.diffuse_rays(scene, width=width, height=3 * width // 4, samples=1)
 
 
-def measure_all(sources: list[str], keep: Path, folder: Path | None, width: int) -> list[Row]:
+def measure_all(
+    sources: list[str], builders: list[str], keep: Path, folder: Path | None, width: int
+) -> list[Row]:
     """Measure the trees that are not in the file yet, and keep them."""
     import mibvh
-    from mibvh.builders import names
     from mibvh.files import atomic_path
 
     rows = [Row(**row) for row in json.loads(keep.read_text())] if keep.exists() else []
     for source in sources:
         scene, rays = mibvh.load(source), None
-        for builder in names():
+        for builder in builders:
             if any((row.scene, row.builder) == (scene.name, builder) for row in rows):
                 continue
             rays = rays or rays_of(scene, folder, width)
@@ -483,10 +484,13 @@ def draw(scenes: Scenes, path: Path) -> None:
 
 def main() -> None:
     """Measure, and print the tables."""
+    from mibvh.builders import names
+
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenes", nargs="*")
     parser.add_argument("--keep", type=Path, default=Path("simd.json"), help="measured so far")
     parser.add_argument("--trees", type=Path, help="folder of trees and rays made before")
+    parser.add_argument("--builders", help="comma-separated; the paper's nine by default")
     parser.add_argument("--check", metavar="SCENE", help="only see whether order and queue matter")
     parser.add_argument("--width", type=int, default=160, help="pixels per viewpoint, across")
     parser.add_argument("--figure", type=Path, help="where to draw the curves over width")
@@ -494,7 +498,8 @@ def main() -> None:
     if arguments.check:
         check(arguments.check, arguments.trees)
         return
-    rows = measure_all(arguments.scenes, arguments.keep, arguments.trees, arguments.width)
+    builders = arguments.builders.split(",") if arguments.builders else names()
+    rows = measure_all(arguments.scenes, builders, arguments.keep, arguments.trees, arguments.width)
     scenes = Scenes(rows)
     if not scenes.names:
         raise SystemExit(f"nothing is measured in {arguments.keep}: name scenes")

@@ -642,6 +642,13 @@ def study(
     warp_style: Annotated[
         str, typer.Option(help="their kernel: persistent (the paper's), speculative, single, ...")
     ] = "persistent",
+    styles: Annotated[
+        str,
+        typer.Option(
+            help="kernels to time and to simulate, comma-separated: single, while-while, "
+            "speculative, wide"
+        ),
+    ] = "single",
     variant: Annotated[
         str | None,
         typer.Option(help="of Mitsuba: llvm_ad_rgb (the default), cuda_ad_rgb, ..."),
@@ -670,7 +677,7 @@ def study(
         use_variant(variant)
     if profile not in PROFILES:
         raise MibvhError(f"--profile is one of {', '.join(PROFILES)}, not {profile!r}")
-    warps = {"warp_width": warp_width, "warp_style": warp_style}
+    warps = {"warp_width": warp_width, "warp_style": warp_style, "styles": split(styles)}
     choices = {**PROFILES[profile], **warps, "seed": seed}
     choices |= {
         name: value

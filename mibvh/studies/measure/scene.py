@@ -18,7 +18,7 @@ from mibvh.studies.measure.looks import scene_digest
 from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import Store, key_of
-from mibvh.studies.measure.times import LANES, TreeTimes, times
+from mibvh.studies.measure.times import LANES, kept_times
 from mibvh.studies.measure.trees import sources_of, study_trees
 from mibvh.studies.measure.warps import WarpRules
 from mibvh.studies.record.experiment import Experiment, chosen
@@ -144,20 +144,9 @@ def _time(
     setting: Setting, rows: list[TreeRow], report: Reporter
 ) -> tuple[list[TreeRow], dict[str, Timing]]:
     """Time the trees in each lane mode. Returns the rows with times, and how they were timed."""
-    options, trees = setting.options, list(setting.trees.values())
     timing: dict[str, Timing] = {}
     for i, lanes in enumerate(LANES):
-        key = key_of(
-            "mibvh.studies.measure.times",
-            trees=[tree.digest for tree in trees],
-            rays=setting.rays.digest,
-            lanes=lanes,
-            machine=setting.machine,
-            options=options.stopwatch(lanes),
-        )
-        part = report.part(0.55 + 0.2 * i, 0.2)
-        make = functools.partial(times, trees, setting.scene, setting.rays, lanes, options, part)
-        found = kept(setting.store, f"timing-{key}", TreeTimes, make)
+        found = kept_times(setting, lanes, "single", report.part(0.55 + 0.2 * i, 0.2))
         columns = {f"{lanes}_ns": found.ns, f"{lanes}_error": found.error} | {
             f"{lanes}_ns_{clock}": ns for clock, ns in found.ns_by_clock.items()
         }

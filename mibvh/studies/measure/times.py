@@ -13,7 +13,10 @@ import numpy as np
 
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
+from mibvh.studies.measure.pieces import kept
+from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.stopwatch import CLOCKS, SHORTEST, Timings, measure
+from mibvh.studies.measure.store import key_of
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import Timing
@@ -69,13 +72,14 @@ def times(
     lanes: Lanes,
     options: StudyOptions,
     report: Reporter,
+    style: str = "single",
 ) -> TreeTimes:
     """Time all trees of a scene, the first and the last a second time under other names."""
     # A tree's records are made anew for its second name: they lie elsewhere in memory.
     frame = Frame(scene, rays, [*trees, trees[0], trees[-1]])
     count = len(trees)
     same = [(0, count), (count - 1, count + 1)]
-    found = time_frames([frame], lanes, options, report, same)
+    found = time_frames([frame], lanes, options, report, same, style)
     return TreeTimes(
         found.ns[:count],
         found.error[:count],
@@ -84,12 +88,31 @@ def times(
     )
 
 
+def kept_times(setting: Setting, lanes: Lanes, style: str, report: Reporter) -> TreeTimes:
+    """Times of a scene's trees: from the study's store, or measured and kept."""
+    options, trees = setting.options, list(setting.trees.values())
+    key = key_of(
+        __name__,
+        trees=[tree.digest for tree in trees],
+        rays=setting.rays.digest,
+        lanes=lanes,
+        style=style,
+        machine=setting.machine,
+        options=options.stopwatch(lanes),
+    )
+    make = functools.partial(
+        times, trees, setting.scene, setting.rays, lanes, options, report, style
+    )
+    return kept(setting.store, f"timing-{key}", TreeTimes, make)
+
+
 def time_frames(
     frames: Sequence[Frame],
     lanes: Lanes,
     options: StudyOptions,
     report: Reporter,
     same: Sequence[tuple[int, int]] = (),
+    style: str = "single",
 ) -> TreeTimes:
     """Time the trees of one or more frames in the same rounds.
 
@@ -102,19 +125,21 @@ def time_frames(
     report : Reporter
     same : sequence of pairs of int
         Trees that are one and the same, counted through all frames.
+    style : str
+        Of traversal; from :data:`mibvh.traversal.styles.STYLES`.
     """
-    stage = f"time {lanes}"
+    stage = f"time {lanes}" if style == "single" else f"time {style} {lanes}"
     report(stage, 0.0)
     chosen = [timed_rays(frame.rays, lanes, options) for frame in frames]
     count = len(chosen[0])
-    copies, portions = _sizes(frames[0], chosen[0], lanes, options)
+    copies, portions = _sizes(frames[0], chosen[0], lanes, options, style)
     if copies > _MOST_COPIES:
         none = [math.nan] * sum(len(frame.trees) for frame in frames)
         timing = Timing(rounds=0, complete=False, rays=count, portions=0)
         return TreeTimes(none, none, dict.fromkeys(CLOCKS, none), timing)
     launches: list[Launch] = []
     for frame, some in zip(frames, chosen, strict=True):
-        tracers = _tracers(frame.scene, repeated(some, copies), portions, lanes, options)
+        tracers = _tracers(frame.scene, repeated(some, copies), portions, lanes, options, style)
         launches += [_launch_of(tracers, tree, frame.scene) for tree in frame.trees]
     timings = measure(
         launches,
@@ -147,12 +172,14 @@ def _per_ray(timings: Timings, rays: int, copies: int, portions: int) -> TreeTim
     )
 
 
-def _sizes(frame: Frame, rays: RaySet, lanes: Lanes, options: StudyOptions) -> tuple[int, int]:
+def _sizes(
+    frame: Frame, rays: RaySet, lanes: Lanes, options: StudyOptions, style: str
+) -> tuple[int, int]:
     """How often the rays are repeated, and into how many portions they are split.
 
     The fastest tree decides: each of its launches is to be long enough for the stopwatch.
     """
-    whole = _tracers(frame.scene, rays, 1, lanes, options)
+    whole = _tracers(frame.scene, rays, 1, lanes, options, style)
     shortest = math.inf
     for tree in frame.trees:
         launch = _launch_of(whole, tree, frame.scene)
@@ -176,20 +203,21 @@ def timed_rays(rays: RaySet, lanes: Lanes, options: StudyOptions) -> RaySet:
 
 
 def _tracers(
-    scene: Scene, rays: RaySet, portions: int, lanes: Lanes, options: StudyOptions
+    scene: Scene, rays: RaySet, portions: int, lanes: Lanes, options: StudyOptions, style: str
 ) -> list[Tracer]:
     """Split rays into runs of neighbours."""
     ends = np.linspace(0, len(rays), portions + 1).astype(int)
     scale = float(unit_scale(scene.triangles))
     return [
-        Tracer(rays.select(slice(begin, end)), scale, lanes, cull=options.cull)
+        Tracer(rays.select(slice(begin, end)), scale, lanes, style=style, cull=options.cull)
         for begin, end in itertools.pairwise(ends)
     ]
 
 
 def _launch_of(tracers: list[Tracer], tree: Tree, scene: Scene) -> Launch:
     """Return what traces a portion of the rays through a tree and tells what that took."""
-    return functools.partial(_launch, tracers, make_records(tree, scene.triangles))
+    records = make_records(tree, scene.triangles, tracers[0].layout)
+    return functools.partial(_launch, tracers, records)
 
 
 def _launch(tracers: list[Tracer], records: Records, portion: int) -> LaunchSeconds:

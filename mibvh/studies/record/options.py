@@ -41,6 +41,10 @@ class StudyOptions:
         Lanes of the warps that are simulated.
     warp_style : str
         Their rules, from :data:`mibvh.traversal.warp.STYLES`; by default the paper's kernel.
+    styles : tuple of str
+        Kernels that the experiment ``styles`` times and simulates, from
+        :data:`mibvh.traversal.styles.STYLES`, or one text of them; others than ``single`` alone
+        ask for that experiment. All else is by ``single``.
     """
 
     builders: tuple[str, ...] | None = None
@@ -57,6 +61,7 @@ class StudyOptions:
     cull: bool = False
     warp_width: int = 32
     warp_style: str = "persistent"
+    styles: tuple[str, ...] = ("single",)
 
     def __post_init__(self) -> None:
         numbers = ("width", "height", "samples", "bounces", "scalar_rays", "seed", "seconds",
@@ -65,7 +70,7 @@ class StudyOptions:
         if self.viewpoints != 0:  # all of a scene
             check(viewpoints=self.viewpoints)
         self._check_warps()
-        for name in ("builders", "experiments"):
+        for name in ("builders", "experiments", "styles"):
             given = getattr(self, name)
             if given is None and name == "builders":
                 continue
@@ -73,6 +78,7 @@ class StudyOptions:
             object.__setattr__(self, name, names)
         if self.experiments == ("all",):
             object.__setattr__(self, "experiments", tuple(EXPERIMENTS))
+        self._check_styles()
         if unknown := sorted(set(self.experiments) - set(EXPERIMENTS)):
             raise MibvhError(
                 f"there is no experiment {unknown[0]!r}{did_you_mean(unknown[0], EXPERIMENTS)}; "
@@ -83,6 +89,21 @@ class StudyOptions:
         from mibvh.traversal.warp import check_rules  # compiled code: not for options' sake
 
         check_rules(self.warp_width, self.warp_style)
+
+    def _check_styles(self) -> None:
+        from mibvh.traversal.styles import find_style
+
+        if not self.styles:
+            raise MibvhError("styles names no style of traversal; single is the default")
+        for style in map(find_style, self.styles):
+            if self.cull and not style.culls:
+                raise MibvhError(
+                    f"the {style.name} style does not re-test popped nodes: leave cull off"
+                )
+        if len(set(self.styles)) < len(self.styles):
+            raise MibvhError(f"styles names one twice: {', '.join(self.styles)}")
+        if self.styles != ("single",) and "styles" not in self.experiments:
+            object.__setattr__(self, "experiments", (*self.experiments, "styles"))
 
     def rays(self) -> dict[str, Any]:
         """Arguments for :func:`mibvh.diffuse_rays`."""

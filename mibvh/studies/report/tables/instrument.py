@@ -24,6 +24,7 @@ _STAGES = {
     "stopwatch": "scalar and SIMD",
     "rotation": "all of it: trees, metrics, counts, stopwatch",
     "audit": "numbers checked by independent code",
+    "styles": "styles of traversal, timed and simulated",
     "sensitivity": "trees of other leaf sizes, deeper bounces",
 }
 
