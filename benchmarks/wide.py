@@ -1,12 +1,13 @@
 """Whether the paper's conclusions hold for trees of four and eight children per node.
 
-    python benchmarks/wide.py [SCENE ...] [--trees FOLDER] [-o TABLES.md]
+    python benchmarks/wide.py [SCENE ...] [--trees FOLDER] [--save FOLDER] [-o TABLES.md]
 
 Builds nine trees of each scene, collapses them to every width, and prints how well SAH, EPO and
 finite rays explain the counted cost of diffuse rays there, which builder makes the best wide tree,
 and what the choices of the collapse and of the children's order for any-hit rays give. SCENE is
 whatever `mibvh build` takes. With --trees, FOLDER/SCENE/BUILDER.npz and FOLDER/SCENE/RAYS.npz are
-read where they are there, SCENE being the name of the file or of its folder.
+read where they are there, SCENE being the name of the file or of its folder. With --save, a scene's
+figures go to FOLDER/SCENE.json; such a file given for a SCENE is read instead of measuring.
 
 All costs are counted: 1.2 for an inner node, 0.2 for each child box beyond two, 1.0 for a triangle.
 """
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -37,6 +39,7 @@ from mibvh.metrics.predictor import (
 )
 from mibvh.metrics.sah import node_costs
 from mibvh.quantise import quantised
+from mibvh.studies.record.serialise import from_json, to_json
 from mibvh.traversal.child_order import ChildOrder, child_priority
 from mibvh.traversal.wide_rows import as_wide
 from mibvh.traversal.wide_walk import node_visits
@@ -103,11 +106,18 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", default=["livingroom@20000", "city_italian@20000"])
     parser.add_argument("--trees", type=Path, help="folder of trees and ray sets")
     parser.add_argument("--rays", default="rays160", help="name of the ray sets' files")
+    parser.add_argument("--save", type=Path, help="folder for the figures of each scene")
     parser.add_argument("-o", "--output", type=Path, help="also write the tables here")
     arguments = parser.parse_args()
     found = []
     for scene in arguments.scenes:
+        if scene.endswith(".json"):
+            found.append(read(Path(scene)))
+            continue
         found.append(measure(scene, arguments.trees, arguments.rays))
+        if arguments.save:
+            text = json.dumps(to_json(found[-1]))
+            write_text(arguments.save / f"{found[-1].name}.json", text)
         print(f"{found[-1].name} done", file=sys.stderr, flush=True)
     text = "\n".join(tables(found))
     print(text)
@@ -132,6 +142,13 @@ def measure(source: str, folder: Path | None, ray_file: str) -> SceneFigures:
         tree = _kept(kept, builder, mibvh.Tree.load) or mibvh.build(scene, builder)
         _measure_tree(result, builder, tree, scene.triangles, rays)
     return result
+
+
+def read(file: Path) -> SceneFigures:
+    """Figures that ``--save`` wrote; JSON has no numbers for keys."""
+    found = from_json(SceneFigures, json.loads(file.read_text()))
+    by_width = {b: {int(w): f for w, f in of.items()} for b, of in found.trees.items()}
+    return dataclasses.replace(found, trees=by_width)
 
 
 def _kept(folder: Path | None, name: str, load: Callable[[Path], Kept]) -> Kept | None:
