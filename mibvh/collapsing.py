@@ -92,11 +92,37 @@ def collapse(
     nodes, child, children = _number(tree.left, kind)
     options = {"width": width, "method": method, "max_leaf": max_leaf,
                "weights": "given" if weights is not None else "area"}  # fmt: skip
-    return WideTree(
+    wide = WideTree(
         tree.lower[nodes], tree.upper[nodes], child, children, tree.first[nodes],
         tree.count[nodes], tree.references, width, False,
         {**tree.meta, **costs, "collapse": options},
     )  # fmt: skip
+    return wide if max_leaf is None else _without_repeats(wide)
+
+
+def _without_repeats(tree: WideTree) -> WideTree:
+    """Keep one reference of each triangle in a leaf: one made of several may have more."""
+    keep = _first_of_each(tree.child, tree.first, tree.count, tree.references)
+    if keep.all():
+        return tree
+    before = np.zeros(len(keep) + 1, np.int32)
+    np.cumsum(keep, out=before[1:])
+    first = before[tree.first]
+    count = before[tree.first + tree.count] - first
+    return tree.replace(references=tree.references[keep], first=first, count=count)
+
+
+@njit
+def _first_of_each(child, first, count, references):
+    """Whether each reference is the first one of its triangle in its leaf."""
+    keep = np.ones(len(references), np.bool_)
+    for n in range(len(child)):
+        if child[n] < 0:
+            for i in range(first[n], first[n] + count[n]):
+                for j in range(first[n], i):
+                    if references[j] == references[i]:
+                        keep[i] = False
+    return keep
 
 
 def _weights(tree: Tree, weights: npt.ArrayLike | None) -> F64:

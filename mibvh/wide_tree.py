@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import os
 from typing import Any, Self
 
 import numpy as np
@@ -11,12 +12,13 @@ import numpy.typing as npt
 
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
+from mibvh.files import file_kind
 from mibvh.hierarchy import Hierarchy
 from mibvh.nodes import WIDTHS
 from mibvh.tree import Tree
 from mibvh.triangles import F32, F64, I32, Triangles
 
-__all__ = ["C_BOX", "WIDTHS", "BinaryView", "WideTree", "as_binary"]
+__all__ = ["C_BOX", "WIDTHS", "BinaryView", "WideTree", "as_binary", "load_tree"]
 
 #: Cost of each child box that a node has beyond two, in units of a triangle's. With a node of two
 #: at 1.2, a node of four costs 1.6 and one of eight 2.4.
@@ -289,6 +291,17 @@ class WideTree(Hierarchy):
         tree = cls(**facts, quantised=header["quantised"])
         tree.check()
         return tree
+
+
+def load_tree(path: str | os.PathLike[str]) -> Tree | WideTree:
+    """Read a tree that mibvh wrote, of two children per node or a wide one.
+
+    Raises
+    ------
+    MibvhError
+        As of :meth:`mibvh.Tree.load`.
+    """
+    return WideTree.load(path) if file_kind(path) == "wide tree" else Tree.load(path)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -4,8 +4,8 @@ A new one is a file here with an ``EXPERIMENT``, and its line below. The first i
 others and always made; tables, claims and rows of files come in this order.
 """
 
-from mibvh.studies.experiments import depth, prediction, rotation, sensitivity
+from mibvh.studies.experiments import depth, kinds, prediction, rotation, sensitivity, width
 from mibvh.studies.record.experiment import add_experiment
 
-for _module in (prediction, depth, rotation, sensitivity):
+for _module in (prediction, depth, rotation, sensitivity, width, kinds):
     add_experiment(_module.EXPERIMENT)
