@@ -1,22 +1,27 @@
 """How well each predictor explains the counted cost of each kind of rays, over the nine trees.
 
-    python benchmarks/ray_kinds.py sponza conference --trees FOLDER
+    python benchmarks/ray_kinds.py sponza conference --trees FOLDER [--save FOLDER] [-o TABLES.md]
 
 FOLDER/SCENE/BUILDER.npz are read where they are, and built otherwise. Scenes are what
-``mibvh.load`` takes. One line per scene and kind, and the mixture that a path tracer of two
-bounces sends.
+``mibvh.load`` takes. With --save, a scene's figures go to FOLDER/SCENE.json; such a file given for
+a scene is read instead of measuring. Kinds of rays that any hit ends are traced by the any-hit
+kernel, and their costs are what that visits.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
+import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import mibvh
+from mibvh.files import write_text
 from mibvh.metrics.lines import line_costs, ray_lines
 from mibvh.metrics.occlusion import (
     any_hit_ray_cost,
@@ -33,9 +38,11 @@ from mibvh.metrics.predictor import (
     predict,
 )
 from mibvh.metrics.sah import node_costs
+from mibvh.studies.record.serialise import from_json, to_json
 
 BUILDERS = ["bbvh", "sbvh", "agglo", "lbvh", "hill", "anneal", "bittner", "treelet", "streelet"]
 KINDS = ["primary", "diffuse", "bounce2", "bounce3", "shadow", "shadow2", "ao"]
+#: What a path tracer of two bounces sends, by the numbers of rays.
 MIXED = ("primary", "diffuse", "bounce2", "shadow", "shadow2")
 
 
@@ -47,45 +54,64 @@ class Row:
     hit: float  # share of the rays that hit something
     ended: float  # share of the rays that any hit ends, and that hit something
     length: float
-    cost: np.ndarray
-    finite: np.ndarray
-    ours: np.ndarray
-    touched: np.ndarray
+    cost: list[float]
+    finite: list[float]
+    ours: list[float]
+    touched: list[float]
+
+
+@dataclasses.dataclass
+class SceneKinds:
+    """One scene: SAH and EPO of its trees, and each kind of rays."""
+
+    name: str
+    sah: list[float]
+    epo: list[float]
+    kinds: dict[str, Row]
 
 
 def main() -> None:
-    """Print the table."""
+    """Print the tables."""
     parser = argparse.ArgumentParser()
     parser.add_argument("scenes", nargs="+")
     parser.add_argument("--trees", type=Path, default=Path("."))
     parser.add_argument("--folder", type=Path, help="look for SCENE/scene.xml here")
     parser.add_argument("--width", type=int, default=96)
     parser.add_argument("--height", type=int, default=72)
+    parser.add_argument("--save", type=Path, help="folder for the figures of each scene")
+    parser.add_argument("-o", "--output", type=Path, help="also write the tables here")
     asked = parser.parse_args()
-    print(
-        "scene kind rays hit s | alpha fitted, estimated, 1/(1+s) | r of SAH, SAH + EPO fitted, "
-        "estimated, finite rays, any-hit, touched | levels of any-hit and touched | "
-        "trees, cheapest first, and the dearest by the cheapest"
-    )
+    found = []
     for name in asked.scenes:
-        source = asked.folder / name / "scene.xml" if asked.folder else name
-        scene = mibvh.load(source)
-        trees = [_tree(scene, asked.trees / name / f"{b}.npz", b) for b in BUILDERS]
-        sah = np.array([mibvh.sah(tree) for tree in trees])
-        epo = np.array([estimate_epo(tree, scene.triangles, 200_000).value for tree in trees])
-        rows = {}
-        for kind in KINDS:
-            try:
-                rays = mibvh.make_rays(
-                    scene, kind, width=asked.width, height=asked.height, samples=1
-                )
-            except mibvh.MibvhError as error:
-                print(name, kind, error)
-                continue
-            rows[kind] = row = _row(scene, rays, trees, sah)
-            _print(name, kind, row, sah, epo)
-        mixed = [rows[kind] for kind in MIXED if kind in rows]
-        _print(name, "mixed", _mixture(mixed), sah, epo)
+        if name.endswith(".json"):
+            found.append(from_json(SceneKinds, json.loads(Path(name).read_text())))
+            continue
+        found.append(measure(name, asked))
+        if asked.save:
+            write_text(asked.save / f"{name}.json", json.dumps(to_json(found[-1])))
+        print(f"{name} done", file=sys.stderr, flush=True)
+    text = "\n".join(tables(found))
+    print(text)
+    if asked.output:
+        write_text(asked.output, text + "\n")
+
+
+def measure(name: str, asked: argparse.Namespace) -> SceneKinds:
+    """All kinds of rays in all trees of a scene."""
+    scene = mibvh.load(asked.folder / name / "scene.xml" if asked.folder else name)
+    trees = [_tree(scene, asked.trees / name / f"{b}.npz", b) for b in BUILDERS]
+    sah = [mibvh.sah(tree) for tree in trees]
+    epo = [estimate_epo(tree, scene.triangles, 200_000).value for tree in trees]
+    found = SceneKinds(name, sah, epo, {})
+    for kind in KINDS:
+        try:
+            rays = mibvh.make_rays(scene, kind, width=asked.width, height=asked.height, samples=1)
+        except mibvh.MibvhError as error:
+            print(name, kind, error, file=sys.stderr)
+            continue
+        found.kinds[kind] = _row(scene, rays, trees, np.array(sah))
+    found.kinds["mixed"] = _mixture([found.kinds[k] for k in MIXED if k in found.kinds])
+    return found
 
 
 def _tree(scene: mibvh.Scene, path: Path, builder: str) -> mibvh.Tree:
@@ -112,10 +138,10 @@ def _row(scene: mibvh.Scene, rays: mibvh.RaySet, trees: list[mibvh.Tree], sah: n
         hit,
         hit if rays.occlusion else 0.0,
         length,
-        np.array(cost),
-        finite,
-        ours,
-        np.array(touched) - np.array(saved),
+        cost,
+        finite.tolist(),
+        ours.tolist(),
+        (np.array(touched) - np.array(saved)).tolist(),
     )
 
 
@@ -133,27 +159,98 @@ def _mixture(rows: list[Row]) -> Row:
     """All rays of a path tracer, by their numbers."""
     weights = np.array([row.count for row in rows], np.float64)
 
-    def mean(name: str) -> np.ndarray:
-        return np.average([getattr(row, name) for row in rows], axis=0, weights=weights)
+    def mean(name: str) -> Any:
+        return np.average([getattr(row, name) for row in rows], axis=0, weights=weights).tolist()
 
-    values: dict[str, Any] = {field.name: mean(field.name) for field in dataclasses.fields(Row)}
+    values = {field.name: mean(field.name) for field in dataclasses.fields(Row)}
     return Row(**{**values, "count": int(weights.sum())})
 
 
-def _print(scene: str, kind: str, row: Row, sah: np.ndarray, epo: np.ndarray) -> None:
+# ------------------------------------------------------------ tables
+
+PREDICTORS = ("SAH", "SAH + EPO, fitted", "by estimated alpha", "finite rays", "any-hit", "touched")
+
+
+def tables(scenes: Sequence[SceneKinds]) -> Iterable[str]:
+    """Lines of Markdown."""
+    yield f"mibvh {mibvh.__version__}; {len(scenes)} scenes; costs are counted, not timed."
+    yield ""
+    yield from _table(
+        "Pearson's r with counted cost over the nine trees, mean / least over the scenes",
+        ("rays", "scenes", "hit", "s", *PREDICTORS),
+        (_over_scenes(kind, scenes) for kind in (*KINDS, "mixed")),
+    )
+    for kind in (*KINDS, "mixed"):
+        yield from _table(
+            f"{kind}: r, alpha, level (predicted over counted cost), and the trees",
+            ("scene", "rays", "hit", "s", *PREDICTORS, "alpha fitted", "estimated", "1/(1+s)",
+             "level of finite rays", "any-hit", "touched", "dearest / cheapest"),
+            (_of_scene(scene, kind) for scene in scenes if kind in scene.kinds),
+        )  # fmt: skip
+    yield from _table(
+        "Mean rank of each builder's tree by counted cost (1: the cheapest), and on how many "
+        "scenes it is the first",
+        ("builder", *(*KINDS, "mixed")),
+        (_ranks(place, builder, scenes) for place, builder in enumerate(BUILDERS)),
+    )
+
+
+def _table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterable[str]:
+    yield f"**{title}**"
+    yield ""
+    yield f"| {' | '.join(heads)} |"
+    yield f"|---|{'---:|' * (len(heads) - 1)}"
+    for row in rows:
+        yield f"| {' | '.join(row)} |"
+    yield ""
+
+
+def _r(scene: SceneKinds, kind: str) -> tuple[list[float], float, float]:
+    """Pearson's r of each predictor, the fitted alpha and the estimated one."""
+    row, sah, epo = scene.kinds[kind], np.array(scene.sah), np.array(scene.epo)
     alpha = estimate_alpha_any_hit(row.length, row.ended)
     fitted = fit_alpha(sah, epo, row.cost)
     both, estimated = predict(sah, epo, fitted), predict(sah, epo, alpha)
-    r = [pearson(x, row.cost) for x in (sah, both, estimated, row.finite, row.ours, row.touched)]
-    levels = [np.mean(x / row.cost) for x in (row.ours, row.touched)]
-    ranked = [BUILDERS[i] for i in np.argsort(row.cost)]
-    print(
-        f"{scene:12} {kind:8} {row.count:6} {row.hit:.2f} {row.length:.2f} | "
-        f"{fitted:.2f} {alpha:.2f} {estimate_alpha(row.length):.2f} | "
-        f"{' '.join(f'{v:.3f}' for v in r)} | {' '.join(f'{v:.2f}' for v in levels)} | "
-        f"{' '.join(ranked)} {row.cost.max() / row.cost.min():.2f}",
-        flush=True,
-    )
+    predicted = (sah, both, estimated, row.finite, row.ours, row.touched)
+    return [pearson(x, row.cost) for x in predicted], fitted, alpha
+
+
+def _over_scenes(kind: str, scenes: Sequence[SceneKinds]) -> list[str]:
+    of = [scene for scene in scenes if kind in scene.kinds]
+    r = np.array([_r(scene, kind)[0] for scene in of])
+    rows = [scene.kinds[kind] for scene in of]
+    return [
+        kind,
+        str(len(of)),
+        f"{np.mean([row.hit for row in rows]):.2f}",
+        f"{np.mean([row.length for row in rows]):.2f}",
+        *(f"{m:.3f} / {low:.3f}" for m, low in zip(r.mean(axis=0), r.min(axis=0), strict=True)),
+    ]
+
+
+def _of_scene(scene: SceneKinds, kind: str) -> list[str]:
+    row = scene.kinds[kind]
+    r, fitted, alpha = _r(scene, kind)
+    cost = np.array(row.cost)
+    levels = [float(np.mean(np.array(x) / cost)) for x in (row.finite, row.ours, row.touched)]
+    return [
+        scene.name,
+        f"{row.count:,}",
+        f"{row.hit:.2f}",
+        f"{row.length:.2f}",
+        *(f"{x:.3f}" for x in r),
+        *(f"{x:.2f}" for x in (fitted, alpha, estimate_alpha(row.length), *levels)),
+        f"{cost.max() / cost.min():.2f}",
+    ]
+
+
+def _ranks(place: int, builder: str, scenes: Sequence[SceneKinds]) -> list[str]:
+    cells = [builder]
+    for kind in (*KINDS, "mixed"):
+        costs = [np.array(s.kinds[kind].cost) for s in scenes if kind in s.kinds]
+        ranks = [1 + int((cost < cost[place]).sum()) for cost in costs]
+        cells.append(f"{np.mean(ranks):.1f} ({sum(rank == 1 for rank in ranks)})")
+    return cells
 
 
 if __name__ == "__main__":

@@ -1,12 +1,16 @@
 """Whether the paper's conclusions hold for trees of four and eight children per node.
 
-    python benchmarks/wide.py [SCENE ...] [--trees FOLDER] [-o TABLES.md]
+    python benchmarks/wide.py [SCENE ...] [--trees FOLDER] [--save FOLDER] [-o TABLES.md]
 
 Builds nine trees of each scene, collapses them to every width, and prints how well SAH, EPO and
 finite rays explain the counted cost of diffuse rays there, which builder makes the best wide tree,
 and what the choices of the collapse and of the children's order for any-hit rays give. SCENE is
 whatever `mibvh build` takes. With --trees, FOLDER/SCENE/BUILDER.npz and FOLDER/SCENE/RAYS.npz are
-read where they are there, SCENE being the name of the file or of its folder.
+read where they are there, SCENE being the name of the file or of its folder. With --save, a scene's
+figures go to FOLDER/SCENE.json; such a file given for a SCENE is read instead of measuring. For
+scenes that are too large for more, --builders takes some of the trees, --only-figures leaves out
+other collapses and orders, and files of one scene with different trees (their names begin with the
+scene's) are put together.
 
 All costs are counted: 1.2 for an inner node, 0.2 for each child box beyond two, 1.0 for a triangle.
 """
@@ -15,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -37,6 +42,7 @@ from mibvh.metrics.predictor import (
 )
 from mibvh.metrics.sah import node_costs
 from mibvh.quantise import quantised
+from mibvh.studies.record.serialise import from_json, to_json
 from mibvh.traversal.child_order import ChildOrder, child_priority
 from mibvh.traversal.wide_rows import as_wide
 from mibvh.traversal.wide_walk import node_visits
@@ -103,13 +109,24 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", default=["livingroom@20000", "city_italian@20000"])
     parser.add_argument("--trees", type=Path, help="folder of trees and ray sets")
     parser.add_argument("--rays", default="rays160", help="name of the ray sets' files")
+    parser.add_argument("--save", type=Path, help="folder for the figures of each scene")
+    parser.add_argument("--builders", default=",".join(names()), help="names, comma-separated")
+    parser.add_argument("--only-figures", action="store_true", help="no other collapses, no orders")
     parser.add_argument("-o", "--output", type=Path, help="also write the tables here")
     arguments = parser.parse_args()
     found = []
     for scene in arguments.scenes:
-        found.append(measure(scene, arguments.trees, arguments.rays))
+        if scene.endswith(".json"):
+            found.append(read(Path(scene)))
+            continue
+        builders = arguments.builders.split(",")
+        of = measure(scene, arguments.trees, arguments.rays, builders, arguments.only_figures)
+        found.append(of)
+        if arguments.save:
+            part = "" if builders == list(names()) else f"-{'-'.join(builders)}"
+            write_text(arguments.save / f"{of.name}{part}.json", json.dumps(to_json(of)))
         print(f"{found[-1].name} done", file=sys.stderr, flush=True)
-    text = "\n".join(tables(found))
+    text = "\n".join(tables(together(found)))
     print(text)
     if arguments.output:
         write_text(arguments.output, text + "\n")
@@ -118,7 +135,21 @@ def main() -> None:
 # ------------------------------------------------------------ measuring
 
 
-def measure(source: str, folder: Path | None, ray_file: str) -> SceneFigures:
+def together(scenes: Sequence[SceneFigures]) -> list[SceneFigures]:
+    """Put the trees of one scene together, in the order of the builders."""
+    found: dict[str, SceneFigures] = {}
+    for scene in scenes:
+        one = found.setdefault(scene.name, scene)
+        trees = {**one.trees, **scene.trees}
+        found[scene.name] = dataclasses.replace(
+            one, trees={name: trees[name] for name in names() if name in trees}
+        )
+    return list(found.values())
+
+
+def measure(
+    source: str, folder: Path | None, ray_file: str, builders: Sequence[str], only_figures: bool
+) -> SceneFigures:
     """All trees of a scene at all widths."""
     scene = mibvh.load(source)
     path = Path(source)
@@ -128,10 +159,19 @@ def measure(source: str, folder: Path | None, ray_file: str) -> SceneFigures:
         scene, width=160, height=120, samples=1
     )
     result = SceneFigures(name, len(scene.triangles), len(rays), 0.0, {}, {}, {}, {}, {})
-    for builder in names():
+    for builder in builders:
         tree = _kept(kept, builder, mibvh.Tree.load) or mibvh.build(scene, builder)
-        _measure_tree(result, builder, tree, scene.triangles, rays)
+        figures = _measure_figures(result, builder, tree, scene.triangles, rays)
+        if not only_figures:
+            _measure_tree(result, builder, tree, figures, scene.triangles, rays)
     return result
+
+
+def read(file: Path) -> SceneFigures:
+    """Figures that ``--save`` wrote; JSON has no numbers for keys."""
+    found = from_json(SceneFigures, json.loads(file.read_text()))
+    by_width = {b: {int(w): f for w, f in of.items()} for b, of in found.trees.items()}
+    return dataclasses.replace(found, trees=by_width)
 
 
 def _kept(folder: Path | None, name: str, load: Callable[[Path], Kept]) -> Kept | None:
@@ -139,23 +179,26 @@ def _kept(folder: Path | None, name: str, load: Callable[[Path], Kept]) -> Kept 
     return load(file) if file and file.exists() else None
 
 
-def _measure_tree(
+def _traced(
+    wide: mibvh.WideTree, triangles: mibvh.Triangles, rays: mibvh.RaySet, any_hit: bool = False
+) -> mibvh.Hits:
+    return mibvh.trace(wide, triangles, rays, style="wide", any_hit=any_hit, repeats=1)
+
+
+def _measure_figures(
     result: SceneFigures,
     builder: str,
     tree: mibvh.Tree,
     triangles: mibvh.Triangles,
     rays: mibvh.RaySet,
-) -> None:
+) -> mibvh.WideTree:
+    """A tree at all widths; returns the widest."""
     fraction = overlap(tree, triangles).fraction
     starts = ray_starts(triangles, rays)
-
-    def traced(wide: mibvh.WideTree, rays: mibvh.RaySet, any_hit: bool = False) -> mibvh.Hits:
-        return mibvh.trace(wide, triangles, rays, style="wide", any_hit=any_hit, repeats=1)
-
     result.trees[builder] = {}
     for width in WIDTHS:
         wide = collapse(tree, width)
-        hits = traced(wide, rays)
+        hits = _traced(wide, triangles, rays)
         if width == 2 and not result.ratio:
             result.ratio = path_length_ratio(triangles, rays, hits)
         query = point_costs(wide, triangles, starts.points, starts.triangle)
@@ -169,8 +212,20 @@ def _measure_tree(
             boxes=float(hits.boxes.mean()),
             tests=float(hits.tests.mean()),
         )
+    return wide
+
+
+def _measure_tree(
+    result: SceneFigures,
+    builder: str,
+    tree: mibvh.Tree,
+    wide: mibvh.WideTree,
+    triangles: mibvh.Triangles,
+    rays: mibvh.RaySet,
+) -> None:
+    """Other ways to collapse a tree, and orders of its children."""
     base = result.trees[builder][8].cost
-    hits = traced(as_wide(tree, triangles), rays)
+    hits = _traced(as_wide(tree, triangles), triangles, rays)
     result.trial[builder] = hits.counted_cost(TRIAL_NODE, TRIAL_TRIANGLE, 0.0)
     single = unfold(tree, triangles)
     choices = {
@@ -181,7 +236,8 @@ def _measure_tree(
         "nodes of least area (no cost per box)": collapse(tree, 8, c_box=0.0),
     }
     result.choices[builder] = {
-        name: traced(choice, rays).counted_cost() / base for name, choice in choices.items()
+        name: _traced(choice, triangles, rays).counted_cost() / base
+        for name, choice in choices.items()
     }
     _measure_orders(result, builder, wide, triangles, rays)
     result.by_visits[builder] = by_visits(tree, wide, triangles, rays)
@@ -239,13 +295,16 @@ def tables(scenes: Sequence[SceneFigures]) -> Iterable[str]:
     """Lines of Markdown."""
     yield f"mibvh {mibvh.__version__}; {len(scenes)} scenes; costs are counted, not timed."
     yield ""
-    yield from _trial(scenes)
     yield from _predictors(scenes)
     yield from _builders(scenes)
     yield from _before_and_after(scenes)
-    yield from _choices(scenes)
-    yield from _visits(scenes)
-    yield from _orders(scenes)
+    if whole := [scene for scene in scenes if scene.trial]:
+        yield f"Of {len(whole)} scenes:"
+        yield ""
+        yield from _trial(whole)
+        yield from _choices(whole)
+        yield from _visits(whole)
+        yield from _orders(whole)
 
 
 def _table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterable[str]:
@@ -329,10 +388,11 @@ def _builders(scenes: Sequence[SceneFigures]) -> Iterable[str]:
     rows = []
     for builder in scenes[0].trees:
         row = [builder]
+        of = [s for s in scenes if builder in s.trees]
         for width in WIDTHS:
-            over = [s.trees[builder][width].cost / s.column(width, "cost").min() for s in scenes]
+            over = [s.trees[builder][width].cost / s.column(width, "cost").min() for s in of]
             row += [f"{_geometric(over):.3f}", str(sum(x == 1 for x in over))]
-        whole = [s.trees[builder][8].cost / s.trees[builder][2].cost for s in scenes]
+        whole = [s.trees[builder][8].cost / s.trees[builder][2].cost for s in of]
         rows.append([*row, f"{_geometric(whole):.3f}"])
     heads = ["builder", *(h for w in WIDTHS for h in (f"cost at width {w}", "best on")),
              "width 8 over 2"]  # fmt: skip
@@ -355,6 +415,7 @@ def _before_and_after(scenes: Sequence[SceneFigures]) -> Iterable[str]:
                     getattr(s.trees[builder][width], quantity)
                     / getattr(s.trees[start][width], quantity)
                     for s in scenes
+                    if {builder, start} <= set(s.trees)
                 ]
                 cells.append(f"{_geometric(over):.3f}")
         rows.append(cells)

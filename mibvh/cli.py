@@ -296,6 +296,29 @@ def optimize_command(
     typer.echo(f"{output}: {optimized.sentence()}")
 
 
+@app.command("collapse")
+def collapse_command(
+    tree: TreeArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="the wide tree file to write")],
+    width: Annotated[int, typer.Option(help="children of a node, at most: 2, 4 or 8")] = 8,
+    method: Annotated[
+        str, typer.Option(help="optimal (the least SAH), or greedy (the largest child first)")
+    ] = "optimal",
+    max_leaf: Annotated[
+        int | None, typer.Option(help="make larger leaves where they are cheaper, up to this")
+    ] = None,
+    quantise: Annotated[bool, typer.Option("--quantise", help="boxes of 8 bits")] = False,
+    as_json: Json = False,
+) -> None:
+    """Collapse a tree to nodes of more children: `metrics`, `audit` and `trace` take it, too."""
+    from mibvh import Tree, collapse, quantised, sah
+
+    wide = collapse(Tree.load(tree), width, method=method, max_leaf=max_leaf)  # type: ignore[arg-type]
+    wide = quantised(wide) if quantise else wide
+    wide.save(output)
+    _print({"builder": wide.meta.get("builder"), "sah": sah(wide), **wide.stats()}, as_json)
+
+
 @app.command()
 def metrics(
     scene: SceneArgument, tree: TreeArgument, define: Define = None, as_json: Json = False
@@ -435,7 +458,7 @@ def audit_command(
     as_json: Json = False,
 ) -> None:
     """Check a tree and its numbers by independent code; exit code 3 if a check fails."""
-    from mibvh import RaySet, Tree
+    from mibvh import RaySet, read_tree
     from mibvh.audit import audit
 
     loaded = _load(scene, define)
@@ -443,7 +466,7 @@ def audit_command(
         task = bar.add_task("audit", total=1.0)
         audited = audit(
             loaded,
-            Tree.load(tree),
+            read_tree(tree, "npz"),
             RaySet.load(rays) if rays else None,
             seed=seed,
             progress=_show(bar, task),
@@ -521,28 +544,34 @@ def trace(
     style: Annotated[
         str | None,
         typer.Option(
-            help="single (as the study), while-while, speculative, or wide: the fastest, and the "
-            "only one of wide trees"
+            help="single (as the study; the default), while-while, speculative, or wide: the "
+            "fastest, and the only one of wide trees"
         ),
     ] = None,
     cull: Annotated[bool, typer.Option(help="re-test popped nodes against the hit")] = False,
     any_hit: Annotated[bool, typer.Option(help="end at the first hit found")] = False,
+    child_order: Annotated[
+        str | None,
+        typer.Option(
+            help="of any-hit rays in the wide style, instead of near first: larger, blocking "
+            "(most likely to block), or worth (that over the cost of looking)"
+        ),
+    ] = None,
     repeats: Annotated[int, typer.Option(help="timed launches")] = 5,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="hits to write")] = None,
     define: Define = None,
     as_json: Json = False,
 ) -> None:
     """Trace rays through a tree: hits, exact counters, kernel time."""
-    from mibvh import WideTree, read_rays, read_tree
+    from mibvh import read_rays, read_tree
     from mibvh.traversal.trace import trace as run
 
     triangles = _load(scene, define).triangles
-    loaded = read_tree(tree, "npz")
-    chosen = style or ("wide" if isinstance(loaded, WideTree) else "single")
     with _doing("tracing"):
         hits = run(
-            loaded, triangles, read_rays(rays), lanes,  # type: ignore[arg-type]
-            style=chosen, cull=cull, any_hit=any_hit or None, repeats=repeats,
+            read_tree(tree, "npz"), triangles, read_rays(rays), lanes,  # type: ignore[arg-type]
+            style=style, cull=cull, any_hit=any_hit or None,
+            child_order=child_order, repeats=repeats,  # type: ignore[arg-type]
         )  # fmt: skip
     if output:
         hits.save(output)
@@ -627,8 +656,15 @@ def study(
     ] = None,
     rays: Annotated[
         str | None,
-        typer.Option(metavar="FILE[,FILE...]", help="rays of your own; one file per scene"),
+        typer.Option(
+            metavar="FILE[,FILE...]",
+            help="rays of your own, one file per scene; or kinds of rays to study beside the "
+            "diffuse ones: diffuse, shadow, ao, primary, bounce2, ..., with weights as shadow:2",
+        ),
     ] = None,
+    width: Annotated[
+        str, typer.Option(metavar="2,4,8", help="also collapse the trees to so many children")
+    ] = "",
     profile: Annotated[str, typer.Option(help="quick or paper")] = "quick",
     experiments: Annotated[
         str, typer.Option(help="names from `mibvh experiments`, comma-separated; or all")
@@ -668,6 +704,7 @@ def study(
     from mibvh.scene import with_defines
     from mibvh.studies import PROFILES
     from mibvh.studies.paper.catalogue import scenes_in
+    from mibvh.studies.record.options import kinds_or_files
     from mibvh.studies.report.board import Board
     from mibvh.variant import use_variant
 
@@ -688,14 +725,20 @@ def study(
         choices["experiments"] = split(experiments)
     defines = _parse_pairs(define or [], "-D")
     sources = [with_defines(str(part), defines) for source in scenes for part in scenes_in(source)]
-    options = StudyOptions(builders=None if builders is None else split(builders), **choices)
+    kinds, files = kinds_or_files(rays or "")
+    options = StudyOptions(
+        builders=None if builders is None else split(builders),
+        widths=width,  # type: ignore[arg-type]
+        kinds=kinds,
+        **choices,
+    )
     given = {name: files.split(",") for name, files in _parse_pairs(tree or [], "--tree").items()}
     with Board(len(sources), as_json) as board:
         result = run(
             sources,
             output,
             trees=given,
-            rays=rays.split(",") if rays else None,
+            rays=files or None,
             options=options,
             progress=board,
             scheduler=scheduler,

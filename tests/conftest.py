@@ -37,8 +37,10 @@ SLOW_FILES = {
     "test_scenes_bundled",
     "test_study",
     "test_study_killed",
+    "test_study_widths",
     "test_traversal_styles",
     "test_traversal_warp",
+    "test_wide_audit",
 }
 SLOW_FIXTURES = {"small_study"}
 

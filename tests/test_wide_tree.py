@@ -436,3 +436,16 @@ def test_wide_trees_are_drawn():
     assert [line.get_label().split(":")[0] for line in ax.lines] == ["sbvh", "sbvh, 8 wide"]
     assert ax.lines[1].get_ydata().sum() == pytest.approx(mibvh.epo(wide, scene))
     plt.close("all")
+
+
+@pytest.mark.parametrize("width", [2, 4, 8])
+def test_leaves_made_of_several_hold_each_triangle_once(width):
+    """Parts of a split triangle that come into one leaf are one reference there."""
+    triangles = soup(300, 4, size=0.4)
+    tree = unfold(mibvh.build(triangles, "sbvh"), triangles)
+    wide = mibvh.collapse(tree, width, max_leaf=16, c_inner=30.0)
+    assert len(wide.references) < len(tree.references)
+    assert wide.validate(triangles) == []
+    for n in np.flatnonzero(wide.is_leaf):
+        held = wide.references[wide.first[n] :][: wide.count[n]]
+        assert len(set(held.tolist())) == len(held)

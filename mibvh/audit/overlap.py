@@ -15,6 +15,7 @@ from mibvh.audit.record import Check
 from mibvh.parallel import run_blocks
 from mibvh.tree import Tree
 from mibvh.triangles import F32, F64, I32, Triangles
+from mibvh.wide_tree import C_BOX, WideTree
 
 #: Independent estimates, of which the spread is the error.
 _GROUPS = 16
@@ -26,23 +27,21 @@ _ERRORS = 5.5
 _ROUNDING = 2e-4
 
 
-def check_sah(tree: Tree, value: float) -> Check:
+def check_sah(tree: Tree | WideTree, value: float) -> Check:
     """Recompute the surface area heuristic from the boxes, in float64."""
     extent = tree.upper.astype(np.float64) - tree.lower.astype(np.float64)
     area = 2 * (extent * np.roll(extent, 1, axis=1)).sum(axis=1)
-    cost = np.where(
-        tree.left < 0, tree.meta.get("c_tri", 1.0) * tree.count, tree.meta.get("c_inner", 1.2)
-    )
+    cost = _node_costs(tree)
     expected = float(cost[0] if area[0] == 0 else (cost * area).sum() / area[0])
     return Check.of("sah", value, expected, 1e-6 * expected, "recomputed from the boxes")
 
 
-def check_epo(tree: Tree, triangles: Triangles, value: float, seed: int = 0) -> Check:
+def check_epo(tree: Tree | WideTree, triangles: Triangles, value: float, seed: int = 0) -> Check:
     """Hold an exact end-point overlap against an estimate from points.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles
     value : float
         The exact figure.
@@ -63,7 +62,9 @@ def check_epo(tree: Tree, triangles: Triangles, value: float, seed: int = 0) -> 
     )  # fmt: skip
 
 
-def estimates(tree: Tree, triangles: Triangles, points: int = _POINTS, seed: int = 0) -> F64:
+def estimates(
+    tree: Tree | WideTree, triangles: Triangles, points: int = _POINTS, seed: int = 0
+) -> F64:
     """Estimate the end-point overlap several times over.
 
     Returns
@@ -85,7 +86,8 @@ def estimates(tree: Tree, triangles: Triangles, points: int = _POINTS, seed: int
     along = np.cumsum(np.linalg.norm(normal[walk], axis=1))
     if not along[-1] > 0:
         return np.zeros(_GROUPS)
-    costs, parents, leaves = _node_costs(tree), _parents(tree.left), leaf_of[order]
+    children = _children(tree)
+    costs, parents, leaves = _node_costs(tree), _parents(tree.left, children), leaf_of[order]
     found = np.empty(_GROUPS)
 
     def estimate(_worker: int, group: int, _end: int) -> None:
@@ -94,7 +96,7 @@ def estimates(tree: Tree, triangles: Triangles, points: int = _POINTS, seed: int
         chosen = walk[np.minimum(np.searchsorted(along, place, side="right"), len(walk) - 1)]
         chosen = np.sort(chosen)
         found[group] = _points_cost(
-            tree.lower, tree.upper, tree.left, costs, parents, leaves, begin, chosen,
+            tree.lower, tree.upper, tree.left, children, costs, parents, leaves, begin, chosen,
             _on_triangles(triangles.corners[chosen], rng),
         ) / points  # fmt: skip
 
@@ -114,21 +116,30 @@ def _on_triangles(corners: F32, rng: np.random.Generator) -> F64:
     return np.clip(points, corners.min(axis=1), corners.max(axis=1))
 
 
-def _node_costs(tree: Tree) -> F64:
+def _children(tree: Tree | WideTree) -> I32:
+    """(M,) int32: how many children each node has, side by side from its first one on."""
+    if isinstance(tree, WideTree):
+        return tree.children
+    return np.where(tree.left < 0, 0, 2).astype(np.int32)
+
+
+def _node_costs(tree: Tree | WideTree) -> F64:
+    """(M,) float64: a wide node's boxes beyond the second have their own cost."""
     c_inner, c_tri = tree.meta.get("c_inner", 1.2), tree.meta.get("c_tri", 1.0)
-    return np.where(tree.left < 0, c_tri * tree.count, c_inner).astype(np.float64)
+    further = tree.meta.get("c_box", C_BOX) * (_children(tree) - 2.0)
+    return np.where(tree.left < 0, c_tri * tree.count, c_inner + further).astype(np.float64)
 
 
-def _parents(left: I32) -> I32:
-    parents = np.full(len(left), -1, np.int32)
-    inner = np.flatnonzero(left >= 0)
-    parents[left[inner]] = inner
-    parents[left[inner] + 1] = inner
+def _parents(first: I32, children: I32) -> I32:
+    parents = np.full(len(first), -1, np.int32)
+    for place in range(int(children.max(initial=0))):
+        inner = np.flatnonzero(children > place)
+        parents[first[inner] + place] = inner
     return parents
 
 
 @njit
-def _points_cost(lower, upper, left, cost, parents, leaves, begin, chosen, points):
+def _points_cost(lower, upper, left, children, cost, parents, leaves, begin, chosen, points):
     """Sum over points of the cost of the foreign nodes that hold them."""
     owner = np.full(len(left), -1, np.int32)
     stack = np.empty(len(left), np.int32)
@@ -154,7 +165,7 @@ def _points_cost(lower, upper, left, cost, parents, leaves, begin, chosen, point
                 continue
             if owner[node] != triangle:
                 total += cost[node]
-            if left[node] >= 0:
-                stack[top], stack[top + 1] = left[node], left[node] + 1
-                top += 2
+            for c in range(left[node], left[node] + children[node]):
+                stack[top] = c
+                top += 1
     return total

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from mibvh.audit.hits import check_brute_force, check_mitsuba, check_same_hits
+from mibvh.audit.hits import check_brute_force, check_mitsuba, check_same_hits, some_rays
 from mibvh.audit.overlap import check_epo, check_sah
 from mibvh.audit.record import Audit, Check
+from mibvh.collapsing import collapse
 from mibvh.metrics.epo import epo
 from mibvh.metrics.sah import sah
 from mibvh.rays import RaySet, diffuse_rays
@@ -17,9 +18,11 @@ from mibvh.rays.make import MOST_SELF_HITS
 from mibvh.scene import load
 from mibvh.traversal.agreement import lane_faults
 from mibvh.traversal.trace import Hits, trace
+from mibvh.traversal.wide_walk import walk_wide_tree
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles
 from mibvh.variant import mitsuba_traces
+from mibvh.wide_tree import WideTree
 
 #: Rays that are traced in scalar lanes, and without Dr.Jit.
 _LANE_RAYS = 1024
@@ -29,7 +32,7 @@ _WIDTH, _HEIGHT = 160, 120
 
 def audit(
     scene: Any,
-    tree: Tree,
+    tree: Tree | WideTree,
     rays: RaySet | None = None,
     *,
     seed: int = 0,
@@ -46,8 +49,9 @@ def audit(
     Parameters
     ----------
     scene : Scene, or what :func:`mibvh.load` takes
-    tree : Tree
-        Of any builder, or the caller's own.
+    tree : Tree or WideTree
+        Of any builder, or the caller's own. A wide tree is traced by the wide kernel, and held
+        against a walk through it that is compiled by Numba.
     rays : RaySet, optional
         Diffuse rays from the scene's cameras by default.
     seed : int
@@ -84,7 +88,7 @@ def audit(
 
 
 def audit_figures(
-    tree: Tree, triangles: Triangles, sah: float, epo: float, seed: int = 0
+    tree: Tree | WideTree, triangles: Triangles, sah: float, epo: float, seed: int = 0
 ) -> tuple[Check, ...]:
     """Check the figures of a valid tree that take no rays."""
     return check_sah(tree, sah), check_epo(tree, triangles, epo, seed)
@@ -92,7 +96,7 @@ def audit_figures(
 
 def audit_hits(
     scene: Any,
-    tree: Tree,
+    tree: Tree | WideTree,
     rays: RaySet,
     hits: Hits,
     *,
@@ -105,10 +109,10 @@ def audit_hits(
     Parameters
     ----------
     scene : Scene
-    tree : Tree
+    tree : Tree or WideTree
     rays : RaySet
     hits : Hits
-        In SIMD lanes by the ``single`` style.
+        In SIMD lanes by the ``single`` style, or the ``wide`` one of a wide tree.
     counted_cost : float, optional
         As it was counted before; that of a second launch by default.
     others : Hits, optional
@@ -117,7 +121,8 @@ def audit_hits(
         Of the samples.
     """
     triangles = scene.triangles
-    costs = {name: tree.meta[name] for name in ("c_inner", "c_tri") if name in tree.meta}
+    names = ("c_inner", "c_tri", "c_box")
+    costs = {name: tree.meta[name] for name in names if name in tree.meta}
     again = trace(tree, triangles, rays, repeats=1) if counted_cost is None else hits
     first = hits.counted_cost(**costs) if counted_cost is None else counted_cost
     checks = [
@@ -132,19 +137,58 @@ def audit_hits(
     return tuple(checks)
 
 
-def check_tree(tree: Tree, triangles: Triangles) -> Check:
+def check_tree(tree: Tree | WideTree, triangles: Triangles) -> Check:
     """Check the invariants of a tree, coverage of split triangles included."""
     tree.check_built_for(triangles)
     faults = tree.validate(triangles)
     return Check.of("tree", len(faults), 0, 0, faults[0] if faults else "invariants")
 
 
-def check_lanes(tree: Tree, triangles: Triangles, rays: RaySet) -> Check:
+def check_lanes(tree: Tree | WideTree, triangles: Triangles, rays: RaySet) -> Check:
     """Check that SIMD lanes, scalar lanes and a simulation without Dr.Jit agree to the last bit."""
     faults = lane_faults(tree, triangles, rays, rays_checked=_LANE_RAYS)
     return Check.of(
         "lanes", len(faults), 0, 0, faults[0] if faults else "SIMD, scalar, and simulated"
     )
+
+
+def check_any_hit(
+    tree: Tree, triangles: Triangles, rays: RaySet, hits: Hits, closest: Hits
+) -> tuple[Check, ...]:
+    """Check what tracing occlusion rays to any hit gave.
+
+    Parameters
+    ----------
+    tree : Tree
+    triangles : Triangles
+    rays : RaySet
+    hits : Hits
+        By the any-hit kernel, in the ``single`` style.
+    closest : Hits
+        The closest hits of the same rays in any tree.
+
+    Returns
+    -------
+    tuple of Check
+        A ray is blocked if it has a closest hit; and some of the rays visit what a walk without
+        Dr.Jit does, compiled by Numba, that takes the tree for a wide one of two children.
+    """
+    differ = int(np.count_nonzero((hits.triangle >= 0) != (closest.triangle >= 0)))
+    blocked = Check.of(
+        "blocked",
+        differ,
+        0,
+        0,
+        f"of {len(rays):,} rays, blocked without a closest hit or vice versa",
+    )
+    chosen = some_rays(len(rays), _LANE_RAYS)
+    walk = walk_wide_tree(collapse(tree, 2), triangles, rays.select(chosen), any_hit=True)
+    wrong = sum(
+        int(np.count_nonzero(getattr(hits, name)[chosen] != getattr(walk, name)))
+        for name in ("t", "triangle", "inner", "leaves", "tests")
+    )
+    detail = f"counts of {len(chosen):,} rays that a walk without Dr.Jit has otherwise"
+    return blocked, Check.of("any hit", wrong, 0, 0, detail)
 
 
 def check_self_hits(rays: RaySet, hits: Hits) -> Check:

@@ -9,30 +9,38 @@ import numpy as np
 from mibvh.rays.rayset import RaySet
 from mibvh.traversal.trace import Hits, trace
 from mibvh.traversal.warp import Warps, simulate
+from mibvh.traversal.wide_walk import Walk, walk_wide_tree
 from mibvh.tree import Tree
+from mibvh.wide_tree import WideTree
 
 _COLUMNS = ("t", "triangle", "inner", "leaves", "tests")
 
 
 def lane_faults(
-    tree: Tree, triangles: Any, rays: RaySet, *, simd: Hits | None = None, rays_checked: int = 4096
+    tree: Tree | WideTree,
+    triangles: Any,
+    rays: RaySet,
+    *,
+    simd: Hits | None = None,
+    rays_checked: int = 4096,
 ) -> list[str]:
     """Trace rays in SIMD lanes, in scalar lanes, and without Dr.Jit, and compare.
 
-    The third is the simulation of warps of one lane (:mod:`mibvh.traversal.warp`), compiled by
-    Numba, which shares no code with the kernels. All of ``t``, ``triangle``, ``inner``, ``leaves``
-    and ``tests`` must be equal to the last bit. (On a GPU the simulation is left out: its
-    arithmetic may contract products and sums.)
+    The third is compiled by Numba and shares no code with the kernels: the simulation of warps of
+    one lane (:mod:`mibvh.traversal.warp`), of a wide tree the walk of
+    :mod:`mibvh.traversal.wide_walk`. All of ``t``, ``triangle``, ``inner``, ``leaves`` and
+    ``tests``, of a wide tree ``boxes`` too, must be equal to the last bit. (On a GPU the third is
+    left out: its arithmetic may contract products and sums.)
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles, Scene or (N, 3, 3) array
         What the tree was built for.
     rays : RaySet
     simd : Hits, optional
         What SIMD lanes gave for all of the rays with the ``single`` style, popped nodes not
-        re-tested; traced anew by default.
+        re-tested, or with the ``wide`` style of a wide tree; traced anew by default.
     rays_checked : int
         At most so many rays, evenly spread over the set.
 
@@ -52,14 +60,18 @@ def lane_faults(
     some = rays.select(chosen)
     if simd is None:
         simd, chosen = trace(tree, triangles, some, repeats=1), np.arange(len(some))
-    others: dict[str, Hits | Warps] = {
+    others: dict[str, Hits | Warps | Walk] = {
         "scalar lanes": trace(tree, triangles, some, "scalar", repeats=1)
     }
     if backend() == "llvm":
-        others["the simulation"] = simulate(tree, triangles, some, 1, "single")
+        others["the simulation"] = (
+            walk_wide_tree(tree, triangles, some, any_hit=some.occlusion)
+            if isinstance(tree, WideTree)
+            else simulate(tree, triangles, some, 1, "single")
+        )
     found = []
     for name, other in others.items():
-        for column in _COLUMNS:
+        for column in (*_COLUMNS, "boxes") if isinstance(tree, WideTree) else _COLUMNS:
             ours, theirs = getattr(simd, column)[chosen], getattr(other, column)
             differ = np.flatnonzero(ours != theirs)
             if len(differ):

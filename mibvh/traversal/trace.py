@@ -124,6 +124,13 @@ class Hits:
         cost = float(c_inner * self.inner.mean() + c_tri * self.tests.mean())
         return cost + c_box * further / len(self)
 
+    def costs(
+        self, c_inner: float = 1.2, c_tri: float = 1.0, c_box: float = C_BOX
+    ) -> npt.NDArray[np.float64]:
+        """(R,) float64: the counted cost of each ray; see :meth:`counted_cost`."""
+        inner, tests = self.inner.astype(np.float64), self.tests.astype(np.float64)
+        return c_inner * inner + c_tri * tests + c_box * (self.boxes - 2 * inner)
+
     def counters(self) -> dict[str, Any]:
         """Return what was counted, as JSON-able values.
 
@@ -356,7 +363,7 @@ def trace(
     rays: RaySet,
     lanes: Lanes = "simd",
     *,
-    style: Style = "single",
+    style: Style | None = None,
     cull: bool = False,
     any_hit: bool | None = None,
     child_order: ChildOrder | None = None,
@@ -367,17 +374,17 @@ def trace(
     Parameters
     ----------
     tree : Tree or WideTree
-        A wide tree is traced in the wide style.
+        A wide tree is traced in the wide style, and in no other.
     triangles : Triangles, Scene or (N, 3, 3) array
         What the tree was built for.
     rays : RaySet
     lanes : "simd" or "scalar"
         Whether all lanes of a packet carry rays, or one does (the paper's scalar figures).
-    style : "single", "while-while", "speculative" or "wide"
+    style : "single", "while-while", "speculative" or "wide", optional
         The binary tree in one loop, as the study uses it; in rounds of descending and testing
         leaves, without and with a leaf put aside (the speculative kernel of Aila and Laine 2009);
         or the wide kernel, to which a binary tree is collapsed to eight children per node: the
-        fastest.
+        fastest. By default ``single``, or ``wide`` for a wide tree and with a child order.
     cull : bool
         Re-test popped nodes against the current hit. The paper's kernel does not, the wide
         style cannot.
@@ -405,6 +412,7 @@ def trace(
     check(repeats=repeats)
     rays.check_matches(triangles)
     any_hit = rays.occlusion if any_hit is None else any_hit
+    style = style or ("wide" if isinstance(tree, WideTree) or child_order else "single")
     if child_order is not None:
         if not any_hit or style != "wide":
             raise MibvhError("a child order is for any-hit rays in the wide style")

@@ -4,8 +4,16 @@ A new one is a file here with an ``EXPERIMENT``, and its line below. The first i
 others and always made; tables, claims and rows of files come in this order.
 """
 
-from mibvh.studies.experiments import depth, prediction, rotation, sensitivity, styles
+from mibvh.studies.experiments import (
+    depth,
+    kinds,
+    prediction,
+    rotation,
+    sensitivity,
+    styles,
+    width,
+)
 from mibvh.studies.record.experiment import add_experiment
 
-for _module in (prediction, depth, rotation, sensitivity, styles):
+for _module in (prediction, depth, rotation, sensitivity, styles, width, kinds):
     add_experiment(_module.EXPERIMENT)

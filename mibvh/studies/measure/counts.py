@@ -7,22 +7,29 @@ import functools
 
 import numpy as np
 
+from mibvh.errors import MibvhError
 from mibvh.metrics.lines import RayLines, line_costs, ray_lines, sah_of_lines
-from mibvh.metrics.points import RayEnds, point_costs, ray_hits, ray_starts
+from mibvh.metrics.occlusion import saved_by_any_hit
+from mibvh.metrics.points import RayEnds, point_costs, ray_hits, ray_starts, weight_at
 from mibvh.metrics.predictor import path_length_ratio
+from mibvh.metrics.sah import node_costs
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
 from mibvh.studies.measure.warps import WarpCounter, WarpRules
 from mibvh.studies.record.scene import OriginCost
 from mibvh.traversal.records import make_records, unit_scale
+from mibvh.traversal.styles import find_style
 from mibvh.traversal.trace import Hits, Tracer
 from mibvh.tree import Tree
 from mibvh.triangles import F64, Triangles
+from mibvh.wide_tree import WideTree
 
 #: Groups of rays over which a tree's mean cost is kept, for the bootstrap.
 _RAY_GROUPS = 64
 #: Rays whose lines are followed through a tree: some microseconds each, for an error of 1%.
 LINES = 10_000
+#: Of the cost of a ray, where a tree's ``meta`` has them.
+_CONSTANTS = ("c_inner", "c_tri", "c_box")
 #: What a traversal counts, as it is.
 _COUNTERS = (
     "inner_per_ray",
@@ -49,7 +56,8 @@ class RayCounter:
     """The rays of a scene, to be counted in any number of its trees.
 
     What does not depend on the tree is prepared when it is first needed and cached: a study that
-    goes on from its store needs none of it.
+    goes on from its store needs none of it. Occlusion rays are traced by the any-hit kernel, and
+    their ends and lines are those of the closest hits in the first tree.
 
     Parameters
     ----------
@@ -67,20 +75,39 @@ class RayCounter:
         self.scene, self.triangles, self.rays, self.cull = scene, scene.triangles, rays, cull
         self.warps = WarpCounter(scene.triangles, rays, rules or WarpRules())
         self._paths: RayPaths | None = None
+        self._closest: Hits | None = None
 
     @functools.cached_property
     def tracer(self) -> Tracer:
         """The rays in Dr.Jit's memory."""
-        return Tracer(self.rays, float(unit_scale(self.triangles)), cull=self.cull)
+        return self._tracer("single", any_hit=self.rays.occlusion)
+
+    @functools.cached_property
+    def wide_tracer(self) -> Tracer:
+        """The same for wide trees, whose kernel does not re-test popped nodes."""
+        return self._tracer("wide", any_hit=self.rays.occlusion)
+
+    def _tracer(self, style: str, *, any_hit: bool) -> Tracer:
+        cull = self.cull and style == "single"
+        scale = float(unit_scale(self.triangles))
+        return Tracer(self.rays, scale, style=style, cull=cull, any_hit=any_hit)
 
     @functools.cached_property
     def starts(self) -> RayEnds:
         """Where the rays begin."""
         return ray_starts(self.triangles, self.rays)
 
-    def hits(self, tree: Tree) -> Hits:
+    def hits(self, tree: Tree | WideTree) -> Hits:
         """Trace the rays once, with counters."""
-        return self.tracer.hits(make_records(tree, self.triangles))
+        tracer = self.wide_tracer if isinstance(tree, WideTree) else self.tracer
+        return tracer.hits(make_records(tree, self.triangles, tracer.layout))
+
+    def closest_hits(self, tree: Tree) -> Hits:
+        """The closest hits of occlusion rays, in the first tree that is asked for."""
+        if self._closest is None:
+            tracer = self._tracer("single", any_hit=False)
+            self._closest = tracer.hits(make_records(tree, self.triangles))
+        return self._closest
 
     def paths(self, hits: Hits) -> RayPaths:
         """Where the rays go; computed anew only where a tree's hits are not those of the last.
@@ -91,42 +118,55 @@ class RayCounter:
             self._paths = RayPaths.of(self.triangles, self.rays, hits)
         return self._paths
 
-    def __call__(self, tree: Tree) -> Counts:
+    def __call__(self, tree: Tree | WideTree) -> Counts:
         """Count the rays in a tree, its point queries at their ends, and their lines."""
         hits = self.hits(tree)
-        c_inner, c_tri = tree.meta["c_inner"], tree.meta["c_tri"]
-        costs = c_inner * hits.inner + c_tri * hits.tests
+        constants = {name: tree.meta[name] for name in _CONSTANTS if name in tree.meta}
+        costs = hits.costs(**constants)
         group = np.arange(len(self.rays)) % _RAY_GROUPS
         sums = np.bincount(group, costs, _RAY_GROUPS)
         size = np.maximum(np.bincount(group, minlength=_RAY_GROUPS), 1)
-        counters = hits.counters()
-        values = {name: counters[name] for name in _COUNTERS}
-        values["counted_cost"] = hits.counted_cost(c_inner, c_tri)
+        values = _counters(hits)
+        values["boxes_per_ray"] = float(hits.boxes.mean())
+        values["counted_cost"] = hits.counted_cost(**constants)
         values["cost_deviation"] = float(costs.std())
+        if self.rays.occlusion:
+            if isinstance(tree, WideTree):
+                raise MibvhError("a study counts occlusion rays in binary trees alone")
+            hits = self.closest_hits(tree)
+            values["saved"] = saved_by_any_hit(tree, self.triangles, self.rays, hits)
+        paths = self.paths(hits)
         return Counts(
-            values={**values, **self._ends(tree, hits), **self._lines(tree, hits)},
+            values={**values, **self._ends(tree, paths), **self._lines(tree, paths)},
             cost_groups=(sums / size).tolist(),
             costs_by_origin=costs_by_origin(self.rays, costs),
             leaf_distribution=np.bincount(hits.leaves).tolist(),
         )
 
-    def _ends(self, tree: Tree, hits: Hits) -> dict[str, float]:
+    def _ends(self, tree: Tree | WideTree, paths: RayPaths) -> dict[str, float]:
         """Point queries at the rays' starts and ends."""
-        starts, ends = self.starts, self.paths(hits).ends
+        starts, ends = self.starts, paths.ends
         at_starts = point_costs(tree, self.triangles, starts.points, starts.triangle)
         at_ends = point_costs(tree, self.triangles, ends.points, ends.triangle)
+        query = float(at_starts.sum(axis=1).mean()) if len(starts) else self._away(tree)
         return {
             # Given rays need not tell where they start.
             "epo_starts": float(at_starts[:, 0].mean()) if len(starts) else float("nan"),
             "epo_starts_error": _standard_error(at_starts[:, 0]),
             "epo_ends": float(at_ends[:, 0].mean()) if len(ends) else 0.0,
-            "point_query": float(at_starts.sum(axis=1).mean()) if len(starts) else float("nan"),
+            "point_query": query,
             "hit_share": ends.share,
         }
 
-    def _lines(self, tree: Tree, hits: Hits) -> dict[str, float]:
+    def _away(self, tree: Tree | WideTree) -> float:
+        """Point query at the cameras; NaN of rays that do not tell where they start."""
+        if self.rays.kind != "primary":
+            return float("nan")
+        at = weight_at(tree, self.rays.o.astype(np.float64), node_costs(tree))
+        return float(at.mean())
+
+    def _lines(self, tree: Tree | WideTree, paths: RayPaths) -> dict[str, float]:
         """SAH on the rays' own lines, and how long the rays are."""
-        paths = self.paths(hits)
         # None in a flat scene: no ray has a part inside its box.
         inside = np.count_nonzero(paths.lines.share)
         of_lines = sah_of_lines(tree, paths.lines) if inside > 1 else None
@@ -174,6 +214,13 @@ class RayPaths:
         return np.array_equal(self.hits.t, hits.t) and np.array_equal(
             self.hits.triangle, hits.triangle
         )
+
+
+def _counters(hits: Hits) -> dict[str, float]:
+    """What a traversal counted, by the names that the study has for it."""
+    counters, prefix = hits.counters(), find_style(hits.style).prefix
+    of_tree = {name.removeprefix(prefix): value for name, value in counters.items()}
+    return {name: float(of_tree[name]) for name in _COUNTERS}
 
 
 def costs_by_origin(rays: RaySet, costs: F64) -> list[OriginCost]:

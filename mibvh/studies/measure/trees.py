@@ -178,22 +178,9 @@ def study_tree(
         made = store.array(Tree, key, functools.partial(source.make, counter.scene, report))
     tree = judged_alike(made)
     report("metrics", 0.5)
-    judge = functools.partial(judge_tree, tree, triangles)
-    # What is computed from the tree goes by its bytes; what its builder said of it is not kept.
-    of = {"tree": tree.digest, "digest": triangles.digest}
-    metrics_key = key_of(__name__, "mibvh.metrics.registry", **of)
-    judged = kept(store, f"metrics-{metrics_key}", TreeFigures, judge)
+    judged = judged_tree(tree, triangles, store)
     report("count", 0.8)
-    counts_key = key_of(
-        "mibvh.studies.measure.counts",
-        **of,
-        rays=counter.rays.digest,
-        cull=counter.cull,
-        backend=backend(),
-        lines=LINES,
-    )
-    count = functools.partial(counter, tree)
-    counts = kept(store, f"counts-{counts_key}", Counts, count)
+    counts = counted_rays(tree, counter, store)
     report("warps", 0.9)
     values = {**judged.values, **counts.values, **counter.warps.kept(tree, store)}
     # Nothing tells whether the code of a user's own metrics is still the same: they are not kept.
@@ -203,7 +190,8 @@ def study_tree(
     audited = {name: values[name] for name in ("sah", "epo", "counted_cost", "warp_scalar_cost")}
     audit_key = key_of(
         "mibvh.studies.measure.audit",
-        **of,
+        tree=tree.digest,
+        digest=triangles.digest,
         rays=counter.rays.digest,
         cull=counter.cull,
         backend=backend(),
@@ -224,6 +212,31 @@ def study_tree(
         audit=kept(store, f"audit-{audit_key}", Checks, audit).checks,
     )
     return tree, row
+
+
+def judged_tree(tree: Tree, triangles: Triangles, store: Store) -> TreeFigures:
+    """Return a tree's figures without rays: from the store, or computed and kept.
+
+    What is computed from a tree goes by its bytes; what its builder said of it is not kept.
+    """
+    of = {"tree": tree.digest, "digest": triangles.digest}
+    key = key_of(__name__, "mibvh.metrics.registry", **of)
+    judge = functools.partial(judge_tree, tree, triangles)
+    return kept(store, f"metrics-{key}", TreeFigures, judge)
+
+
+def counted_rays(tree: Tree, counter: RayCounter, store: Store) -> Counts:
+    """Return what rays cost in a tree: from the store, or counted and kept."""
+    key = key_of(
+        "mibvh.studies.measure.counts",
+        tree=tree.digest,
+        digest=counter.triangles.digest,
+        rays=counter.rays.digest,
+        cull=counter.cull,
+        backend=backend(),
+        lines=LINES,
+    )
+    return kept(store, f"counts-{key}", Counts, functools.partial(counter, tree))
 
 
 def _first_stage(source: TreeSource, store: Store, key: str | None) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pandas as pd
 
+from mibvh.audit.record import Check
 from mibvh.metrics.registry import Quantity
 from mibvh.studies.record.claim import Claim
 from mibvh.studies.record.options import EXPERIMENTS
@@ -33,7 +34,7 @@ class TidyRow:
     of : mapping of str to value
         Columns that are other than in the rows of the study itself: ``experiment``,
         ``rotation``, ``max_leaf``, ``bounce``, ``viewpoint``, ``cut_depth``, ``splits``,
-        ``digest``.
+        ``width``, ``kind``, ``digest``.
     rays : mapping of str to int
         Sizes of the populations of rays where they are other than the study's.
     """
@@ -69,6 +70,11 @@ class Experiment:
         ``sheets(records)`` returns its tables for people; nothing where it was not run.
     claims : callable
         ``claims(records, correlations)`` yields the paper's claims that it can judge.
+    figures : callable
+        ``figures(record)`` yields the name of a figure's file, what is said below it, and the
+        figure.
+    audits : callable
+        ``audits(record)`` yields what else was audited: its name, and the checks.
     """
 
     name: str
@@ -79,6 +85,8 @@ class Experiment:
     rows: Callable[[SceneRecord], Iterable[TidyRow]] = _nothing
     sheets: Callable[[Records], Iterable[Sheet]] = _nothing
     claims: Callable[[Records, pd.DataFrame], Iterable[Claim]] = _nothing
+    figures: Callable[[SceneRecord], Iterable[tuple[str, str, Any]]] = _nothing
+    audits: Callable[[SceneRecord], Iterable[tuple[str, Sequence[Check]]]] = _nothing
 
 
 _experiments: dict[str, Experiment] = {}

@@ -9,7 +9,12 @@ from typing import Any
 from mibvh.builders.chosen import split
 from mibvh.errors import MibvhError, did_you_mean
 from mibvh.ranges import check
+from mibvh.rays.kinds import kind_named
 
+#: Children per node of the trees that a study collapses.
+WIDTHS = (2, 4, 8)
+#: Kinds of rays that the experiment ``kinds`` takes, if none are named.
+KINDS = ("diffuse", "shadow", "ao", "primary", "bounce2")
 #: The registered experiments, and what each adds; see :mod:`mibvh.studies.record.experiment`.
 EXPERIMENTS: dict[str, str] = {}
 
@@ -45,6 +50,13 @@ class StudyOptions:
         Kernels that the experiment ``styles`` times and simulates, from
         :data:`mibvh.traversal.styles.STYLES`, or one text of them; others than ``single`` alone
         ask for that experiment. All else is by ``single``.
+    widths : tuple of int
+        Children per node to which the trees are collapsed, from 2, 4, 8. Some turn the experiment
+        ``width`` on; without any it takes all three.
+    kinds : tuple of str
+        Kinds of rays (:data:`mibvh.rays.kinds.KINDS`), each with the weight in the mixture that it
+        has behind a colon, such as ``shadow2:0.5``, or all without. Some turn the experiment
+        ``kinds`` on; without any it takes :data:`KINDS`.
     """
 
     builders: tuple[str, ...] | None = None
@@ -62,6 +74,8 @@ class StudyOptions:
     warp_width: int = 32
     warp_style: str = "persistent"
     styles: tuple[str, ...] = ("single",)
+    widths: tuple[int, ...] = ()
+    kinds: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         numbers = ("width", "height", "samples", "bounces", "scalar_rays", "seed", "seconds",
@@ -70,12 +84,15 @@ class StudyOptions:
         if self.viewpoints != 0:  # all of a scene
             check(viewpoints=self.viewpoints)
         self._check_warps()
-        for name in ("builders", "experiments", "styles"):
+        for name in ("builders", "experiments", "styles", "kinds"):
             given = getattr(self, name)
             if given is None and name == "builders":
                 continue
             names = split(given) if isinstance(given, str) else _names(name, given)
             object.__setattr__(self, name, names)
+        self._turn_on("width", widths=widths_of(self.widths))
+        weights(self.kinds)  # refuses what is none
+        self._turn_on("kinds", kinds=self.kinds)
         if self.experiments == ("all",):
             object.__setattr__(self, "experiments", tuple(EXPERIMENTS))
         self._check_styles()
@@ -84,6 +101,13 @@ class StudyOptions:
                 f"there is no experiment {unknown[0]!r}{did_you_mean(unknown[0], EXPERIMENTS)}; "
                 f"there are: {', '.join(EXPERIMENTS)}"
             )
+
+    def _turn_on(self, experiment: str, **choice: tuple[Any, ...]) -> None:
+        """Take a choice of an experiment, which asks for it if there is any."""
+        for name, chosen in choice.items():
+            object.__setattr__(self, name, chosen)
+            if chosen and not {experiment, "all"} & set(self.experiments):
+                object.__setattr__(self, "experiments", (*self.experiments, experiment))
 
     def _check_warps(self) -> None:
         from mibvh.traversal.warp import check_rules  # compiled code: not for options' sake
@@ -121,6 +145,89 @@ class StudyOptions:
         return {"by": "portions", **{n: getattr(self, n) for n in chosen}}
 
 
+def widths_of(given: Any) -> tuple[int, ...]:
+    """Children per node, in order, of a sequence of them or a text such as ``2,4,8``.
+
+    Raises
+    ------
+    MibvhError
+        If one is not 2, 4 or 8.
+    """
+    parts = split(given) if isinstance(given, str) else given
+    try:
+        found = sorted({int(str(part)) for part in parts})
+    except (TypeError, ValueError):
+        found = [0]
+    if not set(found) <= set(WIDTHS):
+        raise MibvhError(f"widths are of 2, 4, 8, separated by commas, not {given!r}")
+    return tuple(found)
+
+
+def weights(kinds: Iterable[str]) -> dict[str, float | None]:
+    """The kinds of rays of a study, and their weights in the mixture; None for their numbers.
+
+    Raises
+    ------
+    MibvhError
+        If there is no such kind, one is named twice, or some have a weight and some have none.
+    """
+    found: dict[str, float | None] = {}
+    for kind in kinds:
+        name, colon, text = kind.partition(":")
+        kind_named(name)
+        try:
+            weight = float(text) if colon else None
+        except ValueError:
+            weight = -1.0
+        if weight is not None and not 0 <= weight < float("inf"):
+            raise MibvhError(f"a weight is a number that is not negative, not {text!r} of {kind}")
+        if name in found:
+            raise MibvhError(f"the kind of rays {name} is named twice")
+        found[name] = weight
+    if len({weight is None for weight in found.values()}) > 1:
+        raise MibvhError("all kinds of rays have a weight, or none has")
+    if found and not any(weight is None or weight > 0 for weight in found.values()):
+        raise MibvhError("the weights of the kinds of rays are all 0")
+    return found
+
+
+def kinds_or_files(text: str) -> tuple[tuple[str, ...], list[str]]:
+    """Tell kinds of rays from files of them.
+
+    Parameters
+    ----------
+    text : str
+        Kinds or files, separated by commas; empty for neither.
+
+    Returns
+    -------
+    kinds : tuple of str
+    files : list of str
+        One of the two is empty.
+
+    Raises
+    ------
+    MibvhError
+        If there are some of each.
+    """
+    parts = text.split(",") if text else []
+    kinds = [part.strip() for part in parts if _is_kind(part.strip())]
+    if kinds and len(kinds) < len(parts):
+        other = next(part for part in parts if part.strip() not in kinds)
+        raise MibvhError(
+            f"rays are kinds or files, not both: {kinds[0]} is a kind, and {other!r} is none"
+        )
+    return tuple(kinds), [] if kinds else parts
+
+
+def _is_kind(text: str) -> bool:
+    try:
+        kind_named(text.partition(":")[0])
+    except MibvhError:
+        return False
+    return True
+
+
 def _names(option: str, given: Any) -> tuple[str, ...]:
     """A tuple of names, of any sequence of them."""
     if not isinstance(given, Iterable) or not all(isinstance(name, str) for name in given):
@@ -137,6 +244,6 @@ PROFILES: dict[str, dict[str, Any]] = {
         "samples": 4,
         "scalar_rays": 131072,
         "seconds": 45.0,
-        "experiments": ("all",),
+        "experiments": ("prediction", "depth", "rotation", "sensitivity"),
     },
 }

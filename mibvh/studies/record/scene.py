@@ -22,7 +22,7 @@ from mibvh.studies.record.serialise import from_json, to_json
 from mibvh.triangles import F64
 
 #: To be raised with every change of the fields below.
-FORMAT = 9
+FORMAT = 10
 
 
 @dataclasses.dataclass(frozen=True)

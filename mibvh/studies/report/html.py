@@ -19,6 +19,7 @@ from mibvh.studies.analyse.correlations import overview, worst_error
 from mibvh.studies.analyse.rotation import rotation_factors
 from mibvh.studies.analyse.sweep import sweeps
 from mibvh.studies.measure.depth import DepthResult
+from mibvh.studies.record.experiment import experiments
 from mibvh.studies.record.quantities import quantities, targets
 from mibvh.studies.record.scene import Records, SceneRecord
 from mibvh.studies.record.serialise import to_json
@@ -161,6 +162,8 @@ def _figures(record: SceneRecord) -> Iterator[tuple[str, str, Any]]:
     yield "depth", _CAPTIONS["depth"], plots.by_depth(record)
     if depth := record.result(DepthResult):
         yield "remaining", _CAPTIONS["remaining"], plots.remaining(record, depth)
+    for experiment in experiments():
+        yield from experiment.figures(record)
     for sweep in sweeps(record):
         name = f"sweep-{sweep.builder}-{sweep.option}"
         yield name, f"{sweep.name}: cost against {sweep.option}.", plots.swept(sweep)

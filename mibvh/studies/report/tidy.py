@@ -27,6 +27,8 @@ _USUAL = {
     "viewpoint": -1,
     "cut_depth": -1,
     "splits": -1,
+    "width": 2,
+    "kind": "",
 }
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 
 import pandas as pd
 
 from mibvh.audit.record import Check
 from mibvh.studies.measure.rotation import RotationResult
+from mibvh.studies.record.experiment import experiments
 from mibvh.studies.record.quantities import SIMULATED
 from mibvh.studies.record.scene import Records, SceneRecord, TreeRow
 from mibvh.studies.record.sheet import Column, Sheet
@@ -31,11 +33,13 @@ _SIMULATED = tuple(quantity.name for quantity in SIMULATED)
 _DOUBTS = {"sah": ("sah",), "epo": ("epo",), "warps": _SIMULATED}
 
 
-def audited_trees(record: SceneRecord) -> list[tuple[str, TreeRow]]:
-    """Return all trees of a scene that were audited, and how they are called."""
-    found = [(tree.builder, tree) for tree in record.trees]
+def audits(record: SceneRecord) -> list[tuple[str, Sequence[Check]]]:
+    """Return the checks of all that was audited of a scene, and how each is called."""
+    found: list[tuple[str, Sequence[Check]]] = [(t.builder, t.audit) for t in record.trees]
     if rotation := record.result(RotationResult):
-        found += [(f"{tree.builder} (rotated)", tree) for tree in rotation.trees]
+        found += [(f"{tree.builder} (rotated)", tree.audit) for tree in rotation.trees]
+    for experiment in experiments():
+        found += experiment.audits(record)
     return found
 
 
@@ -44,8 +48,9 @@ def failures(records: Records) -> list[tuple[str, str, Check]]:
     return [
         (record.scene, name, check)
         for record in records
-        for name, tree in audited_trees(record)
-        for check in tree.failures
+        for name, checks in audits(record)
+        for check in checks
+        if not check.passed
     ]
 
 
@@ -65,7 +70,7 @@ def audit_sheets(records: Records) -> list[Sheet]:
 def _summary(records: Records) -> Sheet:
     rows = []
     for record in records:
-        checks = [check for _, tree in audited_trees(record) for check in tree.audit]
+        checks = [check for _, of in audits(record) for check in of]
         failed = Counter(check.name for check in checks if not check.passed)
         names = ", ".join(f"{name} ({count})" for name, count in failed.items())
         rows.append(

@@ -1,0 +1,191 @@
+"""Wide trees: the same trees collapsed to more children per node, each with all figures of its own.
+
+Everything here is by counted cost: rays are traced by the wide kernel, once. At width two a tree is
+itself, and its figures are those of the study.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterator
+
+import numpy as np
+
+from mibvh.audit.record import Check
+from mibvh.audit.run import audit_figures, audit_hits, check_tree
+from mibvh.collapsing import binary_nodes, collapse
+from mibvh.metrics.epo import overlap
+from mibvh.metrics.sah import node_costs, sah
+from mibvh.studies.measure.counts import LINES, RayCounter
+from mibvh.studies.measure.pieces import kept
+from mibvh.studies.measure.setting import Setting
+from mibvh.studies.measure.store import Store, key_of
+from mibvh.studies.measure.trees import counted_rays, judged_tree
+from mibvh.studies.record.options import WIDTHS
+from mibvh.studies.record.progress import Reporter
+from mibvh.studies.record.scene import Result
+from mibvh.traversal.trace import Hits
+from mibvh.tree import Tree
+from mibvh.triangles import F64
+from mibvh.variant import backend
+from mibvh.wide_tree import WideTree
+
+
+@dataclasses.dataclass(frozen=True)
+class WideRow:
+    """A tree at one width.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        Quantities by name, as a tree's row has them, and ``mean_children``.
+    audit : list of Check
+        The checks of the wide tree and of its figures; none at width two, where they are those
+        of the tree itself.
+    """
+
+    values: dict[str, float]
+    audit: list[Check]
+
+
+@dataclasses.dataclass(frozen=True)
+class WidthResult(Result, experiment="width"):
+    """The trees of a scene at some widths.
+
+    Attributes
+    ----------
+    widths : list of int
+        In order; the first is 2, whatever was asked for.
+    trees : list of list of WideRow
+        Of each tree one per width.
+    """
+
+    widths: list[int]
+    trees: list[list[WideRow]]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Values:
+    values: dict[str, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Checks:
+    checks: list[Check]
+
+
+class _Collapsed:
+    """A binary tree and what it collapses to, made when it is first needed."""
+
+    def __init__(self, tree: Tree, counter: RayCounter) -> None:
+        self.tree, self.counter = tree, counter
+        self._wide: dict[int, WideTree] = {}
+
+    def wide(self, width: int) -> WideTree:
+        """Return the wide tree of least SAH."""
+        if width not in self._wide:
+            self._wide[width] = collapse(self.tree, width)
+        return self._wide[width]
+
+    @functools.cached_property
+    def fraction(self) -> F64:
+        """(M,) float64: share of the surfaces in each binary node; wide nodes are some of them."""
+        return overlap(self.tree, self.counter.triangles).fraction
+
+    def figures(self, width: int) -> _Values:
+        """Judge the wide tree and count the rays in it."""
+        wide = self.wide(width)
+        counts = self.counter(wide)
+        return _Values({
+            "sah": sah(wide),
+            "epo": float(node_costs(wide) @ self.fraction[binary_nodes(wide, self.tree)]),
+            "mean_children": wide.stats()["mean_children"],
+            **counts.values,
+        })  # fmt: skip
+
+
+def width_experiment(setting: Setting, report: Reporter) -> WidthResult:
+    """Collapse the trees of a scene, judge, count and audit them at every width."""
+    widths = sorted({2, *(setting.options.widths or WIDTHS)})
+    # The wide kernel does not re-test popped nodes, so that trees of two children must not, either.
+    counter = RayCounter(setting.scene, setting.rays, cull=False)
+    audited = _Auditor(counter)
+    share = 1 / len(setting.trees)
+    found = []
+    for i, (name, tree) in enumerate(setting.trees.items()):
+        part = report.part(share * i, share, name)
+        part("metrics", 0.0)
+        of = _Collapsed(tree, counter)
+        rows = [_binary(tree, counter, setting.store)]
+        for place, width in enumerate(widths[1:]):
+            part("count", place / len(widths))
+            rows.append(_row(of, width, audited, setting.store))
+        found.append(rows)
+    return WidthResult(widths, found)
+
+
+def _binary(tree: Tree, counter: RayCounter, store: Store) -> WideRow:
+    """A tree as it is: what the study knows already."""
+    judged = judged_tree(tree, counter.triangles, store)
+    counts = counted_rays(tree, counter, store)
+    of_tree = {name: judged.values[name] for name in ("sah", "epo")}
+    return WideRow({**of_tree, "mean_children": 2.0, **counts.values}, [])
+
+
+def _row(of: _Collapsed, width: int, audited: _Auditor, store: Store) -> WideRow:
+    """A wide tree: from the store, or made."""
+    made_of = {
+        "tree": of.tree.digest,
+        "digest": of.counter.triangles.digest,
+        "rays": of.counter.rays.digest,
+        "width": width,
+        "backend": backend(),
+    }
+    key = key_of(__name__, "mibvh.studies.measure.counts", **made_of, lines=LINES)
+    values = kept(store, f"wide-{key}", _Values, functools.partial(of.figures, width)).values
+    held = {name: values[name] for name in ("sah", "epo", "counted_cost")}
+    key = key_of(__name__, "mibvh.audit.run", **made_of, **held)
+    checks = kept(store, f"audit-{key}", _Checks, lambda: audited(of.wide(width), values)).checks
+    return WideRow(values, checks)
+
+
+class _Auditor:
+    """Audits wide trees; their hits are held against each other's, too.
+
+    Parameters
+    ----------
+    counter : RayCounter
+        Of the scene's rays.
+    """
+
+    def __init__(self, counter: RayCounter) -> None:
+        self._counter = counter
+        self._first: Hits | None = None
+
+    def __call__(self, tree: WideTree, values: dict[str, float]) -> _Checks:
+        """Check a tree and what was found of it, perhaps in an earlier run."""
+        scene, rays = self._counter.scene, self._counter.rays
+        sound = check_tree(tree, scene.triangles)
+        if not sound.passed:
+            return _Checks([sound])
+        hits = self._counter.hits(tree)
+        figures = audit_figures(tree, scene.triangles, values["sah"], values["epo"])
+        traced = audit_hits(
+            scene, tree, rays, hits, counted_cost=values["counted_cost"], others=self._first
+        )
+        self._first = self._first or hits
+        return _Checks([sound, *figures, *traced])
+
+
+def at_width(found: WidthResult, width: int) -> Iterator[WideRow]:
+    """Yield the trees of a scene at one of its widths."""
+    place = found.widths.index(width)
+    return (rows[place] for rows in found.trees)
+
+
+def columns_at(found: WidthResult, width: int) -> dict[str, F64]:
+    """Quantities of a scene's trees at one width, (K,) float64 each."""
+    rows = list(at_width(found, width))
+    names = set.intersection(*(set(row.values) for row in rows))
+    return {n: np.array([row.values[n] for row in rows], np.float64) for n in sorted(names)}
