@@ -28,9 +28,9 @@ _WIDTH, _HEIGHT = 259.0, 202.0
 _NAMES, _ROW = 5, 14.0
 #: The small multiples: size, margins, how many in a row of the file.
 _SMALL, _SMALL_MARGINS, _COLUMNS = (170.0, 158.0), (34.0, 8.0, 24.0, 34.0), 4
-#: The winners: width of the figure, height of a scene's row, where its axis begins and ends, and
-#: the costs over the best beyond which trees stand at the edge.
-_WINNERS, _STEP, _BEGIN, _END, _MOST = 480.0, 34.0, 10.0, 470.0, 0.6
+#: The winners: width of the figure, height of a scene's row, where its line begins and ends, and
+#: the costs over the best beyond which trees stand at its end.
+_WINNERS, _STEP, _BEGIN, _END, _MOST = 380.0, 52.0, 8.0, 348.0, 0.6
 _GREY = "#888888"
 
 
@@ -82,19 +82,12 @@ def winners(records: Records) -> Drawing:
     A row per scene: its name, who wins by counted cost and by scalar time, and a point per tree at
     its counted cost over the best.
     """
-    sheet = Drawing(_WINNERS, _STEP * len(records) + 26)
+    sheet = Drawing(_WINNERS, _STEP * len(records))
     places = places_of(records)
     most = min(_MOST, max((_over(r).max() for r in records), default=_MOST)) or _MOST
     for row, record in enumerate(records):
         sheet.parts.append(Part(0.0, row * _STEP, _WINNERS, _STEP))
         _winner_row(sheet, record, places, row * _STEP, most)
-    axis = Part(0.0, _STEP * len(records), _WINNERS, 26.0)
-    sheet.parts.append(axis)
-    for share in np.linspace(0, most, 4):
-        x = _BEGIN + share / most * (_END - _BEGIN)
-        sheet.add(Words(x=x, y=axis.y + 7, text=f"+{share:.0%}", size=8, anchor="middle"))
-    title = "counted cost over the scene's best tree; what costs more stands at the right edge"
-    sheet.add(Words(x=_WINNERS / 2, y=axis.y + 19, text=title, anchor="middle", opacity=0.75))
     return sheet
 
 
@@ -106,11 +99,12 @@ def _over(record: SceneRecord) -> F64:
 def _winner_row(
     sheet: Drawing, record: SceneRecord, places: dict[str, int], top: float, most: float
 ) -> None:
-    best = winner(record)
+    best, y = winner(record), top + 38
     sheet.add(
-        Words(x=_BEGIN, y=top + 9, text=record.scene, size=9.5, strong=True),
-        Words(x=_END, y=top + 9, text=_winner_words(record, best), size=8.5, anchor="end"),
-        Stroke(points=np.array([[_BEGIN, top + 24], [_END, top + 24]]), colour=_GREY, opacity=0.5),
+        Words(x=_BEGIN - 6, y=top + 8, text=record.scene, size=11, strong=True),
+        Words(x=_BEGIN - 6, y=top + 23, text=_winner_words(record, best), size=9.5),
+        Stroke(points=np.array([[_BEGIN, y], [_END, y]]), colour=_GREY, opacity=0.5),
+        Words(x=_END + 5, y=y, text=f"+{most:.0%}", opacity=0.75),
     )
     # The best is drawn last, on top.
     for over, tree in sorted(
@@ -119,7 +113,7 @@ def _winner_row(
         place, first = places[tree.builder], tree.builder == best.builder
         sheet.add(
             Dot(
-                x=_BEGIN + min(over / most, 1.0) * (_END - _BEGIN), y=top + 24,
+                x=_BEGIN + min(over / most, 1.0) * (_END - _BEGIN), y=y,
                 size=10.0 if first else 7.0, colour=builder_colour(place), owner=tree.builder,
                 tip=f"{record.scene}: {tree.builder}, counted cost {tree['counted_cost']:.4g}, "
                 f"+{over:.1%} over the best",
