@@ -13,7 +13,13 @@ SCENES ?= cornell livingroom hairball city_italian vegetation powerplant
 FUZZ_SECONDS ?= 300
 FUZZ_SEED    ?= 0
 
-.PHONY: help study test test-fast test-lowest test-wheel lint docs fuzz setup lock clean
+# `make results SCENES=FOLDER`: the experiments, the folder of the study, and what else is asked for,
+# such as `RESULTS="--minutes 45 --without sanmiguel"` or `RESULTS=--pages-only`.
+EXPERIMENTS  ?= prediction,depth,rotation,sensitivity
+RESULTS_OUT  ?= out/results
+RESULTS      ?=
+
+.PHONY: help study test test-fast test-lowest test-wheel lint docs fuzz results setup lock clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' $(MAKEFILE_LIST) | awk -F': ' '{ printf "make %-12s %s\n", $$1, $$2 }'
@@ -44,6 +50,9 @@ docs: $(VENV)/docs ## Make the site of docs/ and the API; fails on any warning
 
 fuzz: setup ## Try hostile input for FUZZ_SECONDS from FUZZ_SEED
 	FUZZ_SECONDS=$(FUZZ_SECONDS) FUZZ_SEED=$(FUZZ_SEED) $(BIN)/python -m tools.fuzz
+
+results: setup ## Study SCENES=FOLDER of folders with a scene.xml; write docs/results, figures, quoted numbers
+	$(BIN)/python -m tools.results $(SCENES) -o $(RESULTS_OUT) --experiments $(EXPERIMENTS) $(RESULTS)
 
 setup: $(VENV)/installed ## Make the environment, in .venv
 	@PYTHON=$(BIN)/python sh tools/ensure_llvm.sh

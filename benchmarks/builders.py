@@ -250,12 +250,13 @@ def scaling_table(found: list[dict[str, Any]], repeats: int) -> list[str]:
 
 def scaling_plot(found: list[dict[str, Any]], builders: list[str], path: Path) -> None:
     """Draw build time over triangles, both logarithmic, with n log n as a guide."""
+    import matplotlib as mpl
     import numpy as np
     from matplotlib.figure import Figure
 
-    from mibvh.studies.report.plots import builder_colour, png, style
+    from mibvh.plot.marks import STYLE, builder_colour
 
-    with style():
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 4.6), layout="constrained")
         axis = figure.subplots()
         for number, name in enumerate(builders):
@@ -278,7 +279,7 @@ def scaling_plot(found: list[dict[str, Any]], builders: list[str], path: Path) -
         # In the order in which the lines end on the right.
         lines = sorted(axis.lines, key=lambda line: -np.asarray(line.get_ydata())[-1])
         axis.legend(handles=lines, loc="center left", bbox_to_anchor=(1.0, 0.5))
-        path.write_bytes(png(figure))
+        figure.savefig(path, format="png", dpi=160, facecolor="white")
 
 
 def main() -> None:

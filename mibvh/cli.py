@@ -770,25 +770,13 @@ def study(
 
 
 def _print_study(result: Any) -> None:
-    from mibvh.studies.analyse.correlations import overview
-    from mibvh.studies.record.quantities import columns
+    """Print the findings: ten lines, as all tables are in the report."""
+    from mibvh.studies.report.answer import answer
 
-    # A pipe has no width; 80 columns would cut the names.
+    # A pipe has no width; 80 columns would cut the lines.
     console = Console(width=None if sys.stdout.isatty() else 160)
-    shown = columns(main=True)
-    table = Table("scene", "triangles", "builder", *(q.heading for q in shown), box=None)
-    for _, row in result.table.iterrows():
-        cells = [
-            format(row[q.name], q.format) if row[q.name] == row[q.name] else "–" for q in shown
-        ]
-        table.add_row(row["scene"], f"{row['triangles']:,}", row["builder"], *cells)
-    console.print(table)
-    console.print()
-    table = Table("measured", "predictor", "mean r", "min", "max", "scenes", box=None)
-    for (measurement, predictor), row in overview(result.correlations).iterrows():
-        values = [f"{row[c]:.3f}" if row[c] == row[c] else "–" for c in ("mean", "min", "max")]
-        table.add_row(measurement, predictor, *values, str(int(row["scenes"])))
-    console.print(table)
+    for line in answer(result.scenes, result.correlations):
+        console.print(Text(line))
     for scene, tree, check in result.failures:
         console.print(
             Text(
@@ -802,13 +790,17 @@ def _print_study(result: Any) -> None:
 
 @app.command()
 def report(
-    folder: Annotated[Path, typer.Argument(help="folder of a study")], as_json: Json = False
+    folder: Annotated[Path, typer.Argument(help="folder of a study")],
+    figures: Annotated[
+        str, typer.Option(help="what to draw figures as beside SVG: pdf, png or both")
+    ] = "",
+    as_json: Json = False,
 ) -> None:
     """Remake a study's tables and report without measuring again."""
     from mibvh.studies.run import remake_report
 
     with _doing("writing the report"):
-        remade = remake_report(folder)
+        remade = remake_report(folder, [kind for kind in figures.split(",") if kind])
     _print({"report": str(remade.report), "scenes": len(remade.scenes)}, as_json)
 
 

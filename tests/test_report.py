@@ -1,16 +1,29 @@
 """The report's tables, in every form, and its figures as files."""
 
 import csv
+import dataclasses
 import io
 import re
+import shutil
+from html import unescape
 from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import scene_record, tree_row
+from PIL import Image
 
+from mibvh.errors import MibvhError
+from mibvh.metrics.predictors import predictors
+from mibvh.studies.analyse.correlations import SCALAR
+from mibvh.studies.analyse.winners import mean_cost_over_best, winner, winner_in_time, wins
 from mibvh.studies.record.sheet import Column, Sheet
-from mibvh.studies.report.plots import panels
+from mibvh.studies.report.answer import answer
+from mibvh.studies.report.axes import Axis, Panel
+from mibvh.studies.report.drawing import Dot, Drawing, Part, Words
+from mibvh.studies.report.plots import by_depth
+from mibvh.studies.run import remake_report
 
 SHEET = Sheet(
     name="costs",
@@ -78,7 +91,7 @@ def test_latex():
     ]
 
 
-@pytest.mark.parametrize("name", ["overview-counted_cost", "trees", "stopwatch"])
+@pytest.mark.parametrize("name", ["overview", "r", "pooled-counted_cost", "trees", "stopwatch"])
 def test_table_files(small_study, name):
     rows = list(
         csv.DictReader(io.StringIO((small_study.folder / f"tables/{name}.csv").read_text()))
@@ -94,19 +107,106 @@ def test_table_files(small_study, name):
 def test_figure_files(small_study):
     scene = small_study.scenes[0].scene
     for name in ("counted", "scalar", "simd", "depth"):
-        assert (small_study.folder / f"figures/{scene}-{name}.png").stat().st_size > 5000
         drawn = (small_study.folder / f"figures/{scene}-{name}.svg").read_text()
         assert "currentColor" not in drawn
         assert drawn.count('data-builder="lbvh"') == 2  # once per panel
+        ElementTree.fromstring(drawn)
+
+
+def test_other_forms_of_figures_are_drawn_on_demand(small_study, tmp_path):
+    assert not list((small_study.folder / "figures").glob("*.p*"))
+    copy = shutil.copytree(small_study.folder, tmp_path / "copy")
+    remake_report(copy, ("pdf", "png"))
+    drawn = {path.stem for path in (copy / "figures").glob("*.svg")}
+    assert {path.stem for path in (copy / "figures").glob("*.pdf")} == drawn
+    for path in (copy / "figures").glob("*.png"):
+        with Image.open(path) as image:
+            pixels = np.asarray(image.convert("RGB"))
+        assert pixels.std() > 5, path  # something is drawn
+        assert path.stem in drawn
+    remake_report(copy)
+    assert not list((copy / "figures").glob("*.p*"))  # those of the run before are gone
+    with pytest.raises(MibvhError, match="drawn as pdf or png beside SVG, not 'gif'"):
+        remake_report(copy, ("gif",))
 
 
 def test_builders_are_named_below_the_curves_of_a_file_and_once_on_the_page(small_study):
-    scene = small_study.scenes[0].scene
-    drawn = (small_study.folder / f"figures/{scene}-depth.svg").read_text()
-    assert re.findall(r">(\w*bvh)</text>", drawn) == ["bbvh", "lbvh"]
-    for panel in panels(drawn):
-        assert ElementTree.fromstring(panel).tag.endswith("svg")
-        assert "lbvh</text>" not in panel
+    record = small_study.scenes[0]
+    figure = by_depth(record)
+    assert re.findall(r">(\w*bvh)</text>", figure.file()) == ["bbvh", "lbvh"]
+    assert len(figure.parts) == 2
+    for part in figure.parts:
+        assert ElementTree.fromstring(figure.svg(part)).tag.endswith("svg")
+        assert "lbvh</text>" not in figure.svg(part)
+
+
+def test_points_stand_where_their_values_are():
+    sheet = Drawing(200, 100)
+    panel = Panel(sheet, Part(0, 0, 200, 100), (0, 10), (1, 100), log=(False, True))
+    left, right, low, top = 46, 190, 66, 22
+    assert panel.x([0, 5, 10]) == pytest.approx([left, (left + right) / 2, right])
+    assert panel.y([1, 10, 100]) == pytest.approx([low, (low + top) / 2, top])
+    assert panel.x([-3, 40]) == pytest.approx([left, right])  # at the edge
+    turned = Axis(3.5, -0.5, 0.0, 80.0)
+    assert turned([3.5, 0.5, -0.5]) == pytest.approx([0.0, 60.0, 80.0])
+    assert turned.ticks(4).tolist() == [0, 1, 2, 3]
+
+
+def test_points_tell_what_they_are_and_text_is_text(small_study):
+    sheet = Drawing(20, 20)
+    sheet.add(Dot(x=1, y=2, owner='a"<b', tip="1 < 2 & 3"), Words(x=1, y=1, text="<i>$x$"))
+    root = ElementTree.fromstring(sheet.svg())
+    point = next(g for g in root if g.get("class") == "point")
+    assert (point.get("data-builder"), point.get("data-tip")) == ('a"<b', "1 < 2 & 3")
+    assert root[-1].text == "<i>$x$"
+
+
+def test_the_winner_and_its_lead():
+    costs = {"a": [10.0, 12.0, 8.0], "b": [11.0, 13.0, 9.0], "c": [20.0, 20.0, 20.0]}
+    trees = [
+        dataclasses.replace(
+            tree_row(name, counted_cost=float(np.mean(of)), scalar_ns=t, scalar_error=0.02),
+            cost_groups=of,
+        )
+        for (name, of), t in zip(costs.items(), (100.0, 99.0, 200.0), strict=True)
+    ]
+    record = scene_record(trees)
+    best = winner(record)
+    ratios = [11 / 10, 13 / 12, 9 / 8]
+    assert (best.builder, best.second) == ("a", "b")
+    assert best.lead == pytest.approx(0.1)
+    assert best.error == pytest.approx(np.std(ratios, ddof=1) / np.sqrt(3))
+    assert best.sure
+    assert str(best) == "a, 10.0% ± 1.2% ahead of b"
+    timed = winner_in_time(record, SCALAR)
+    assert (timed.builder, timed.second, timed.sure) == ("b", "a", False)
+    assert str(timed).startswith("b or a (1.0% ± 2.9% apart)")
+    assert wins([record, record]) == {"a": 2}
+    assert mean_cost_over_best([record]) == pytest.approx({"a": 1, "b": 1.1, "c": 2})
+    alone = scene_record([dataclasses.replace(trees[0], cost_groups=[])])
+    assert str(winner(alone)) == "a"
+
+
+def test_the_answer_takes_ten_lines(small_study):
+    lines = answer(small_study.scenes, small_study.correlations)
+    assert 3 <= len(lines) <= 10
+    assert lines[0].startswith(small_study.scenes[0].scene)
+    many = [dataclasses.replace(r, scene=f"{r.scene}{i}") for i in range(20)
+            for r in small_study.scenes]  # fmt: skip
+    assert len(answer(many, small_study.correlations)) <= 10
+
+
+def test_the_page_answers_before_its_tables(small_study):
+    page = small_study.report.read_text()
+    order = ['class="answer"', 'id="best"', 'id="predicted"', 'id="predictors"', 'id="where"',
+             'id="claims"', 'id="scenes"', 'id="tables"']  # fmt: skip
+    places = [page.index(what) for what in order]
+    assert places == sorted(places)
+    before = unescape(page[: places[4]])
+    assert "<table" not in before
+    for one in predictors():
+        if one.name in set(small_study.correlations["predictor"]):
+            assert f"<b>{one.name}</b><code>{one.formula}</code>" in before
 
 
 def test_the_page_stands_alone(small_study):

@@ -143,10 +143,10 @@ def test_warp_cost_is_predicted_drawn_and_listed(finished):
     assert "spread" in of_warps.index
     name = finished.scenes[0].scene
     assert (finished.folder / "figures" / f"{name}-warp.svg").exists()
-    names = [sheet.name for sheet in answers(finished.scenes, finished.correlations)]
-    assert {"overview-warp_cost", "r-warp_cost", "warp-deviation", "warp-deviation-scenes"} <= set(
-        names
-    )
+    sheets = {sheet.name: sheet for sheet in answers(finished.scenes, finished.correlations)}
+    assert {"warp-deviation", "warp-deviation-scenes"} <= set(sheets)
+    assert "warp_cost_mean" in sheets["overview"].keys
+    assert "warp cost" in set(sheets["r"].frame["measured"])
     page = finished.report.read_text()
     assert "Warp cost against scalar: deviation by builder" in page
     assert "32 wide, persistent" in page

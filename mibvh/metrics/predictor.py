@@ -261,6 +261,32 @@ def bootstrap_interval(
     return float(low), float(high)
 
 
+def fisher_interval(r: float, trees: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Confidence interval of Pearson's r over so few trees, by Fisher's transformation.
+
+    The trees count as a sample of all that could be built. It is exact for normal values, and wide
+    where they are few: over nine trees an r of 0.95 may be one of 0.77.
+
+    Parameters
+    ----------
+    r : float
+    trees : int
+    confidence : float
+
+    Returns
+    -------
+    low, high : float
+        NaN for fewer than four trees.
+    """
+    if trees < 4 or not np.isfinite(r):
+        return float("nan"), float("nan")
+    from scipy import special  # slow to import
+
+    half = float(special.ndtri(0.5 + confidence / 2)) / np.sqrt(trees - 3)
+    centre = np.arctanh(np.clip(r, -1 + 1e-15, 1 - 1e-15))
+    return float(np.tanh(centre - half)), float(np.tanh(centre + half))
+
+
 def agreement(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> dict[str, Any]:
     """How well a predictor explains a measurement over the trees of a scene.
 

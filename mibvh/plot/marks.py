@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -41,8 +41,9 @@ COLOURS = (
     "#8A8A8A",
     "#A65ACD",
 )
-_SHAPES = "oDs^vPXpd"
-_DASHES = ("solid", (0, (4, 1.2)), (0, (1.2, 1)))
+#: Shapes of points and dashes of curves, by the place of the builder.
+SHAPES = "oDs^vPXpd"
+DASHES = ("solid", (0, (4, 1.2)), (0, (1.2, 1)))
 #: Colour map of quantities on white: darker means more.
 SEQUENTIAL = "viridis_r"
 #: Directions in which a point's label may be placed.
@@ -90,7 +91,7 @@ def named_points(
         axis.plot(
             across[i : i + 1],
             up[i : i + 1],
-            _SHAPES[i % len(_SHAPES)],
+            SHAPES[i % len(SHAPES)],
             ms=6.5,
             color=builder_colour(i),
             zorder=3,
@@ -102,43 +103,77 @@ def named_points(
     _label_points(axis, names, across, up)
 
 
+class LabelPlace(NamedTuple):
+    """Where a label stands: its middle, and the point that it is of.
+
+    Attributes
+    ----------
+    of : int
+        The point.
+    centre : (2,) float64
+    nearest : (2,) float64
+        Of the label's rectangle to the point.
+    far : bool
+        Whether the point lies so far away that a line has to lead there.
+    """
+
+    of: int
+    centre: F64
+    nearest: F64
+    far: bool
+
+
+def label_places(points: F64, labels: Sequence[str], size: F64) -> list[LabelPlace]:
+    """Find room for labels: near each point, clear of the others and their labels.
+
+    Parameters
+    ----------
+    points : (K, 2) float64
+        In typographic points from a corner of the axes.
+    labels : sequence of str
+    size : (2,) float64
+        Of the axes.
+
+    Returns
+    -------
+    list of LabelPlace
+        One per point, in the order of the points.
+    """
+    marks = np.concatenate([points - 4, points + 4], axis=1)
+    offsets = np.array([(r, *d) for r in (5, 12, 20, 30) for d in _DIRECTIONS], np.float64)
+    taken: list[F64] = []
+    found: dict[int, LabelPlace] = {}
+    for i in np.argsort(points[:, 1]):
+        half = np.array([2.3 * len(labels[i]), 4.5])  # of the text, about
+        others = np.array([*taken, *np.delete(marks, i, axis=0)]).reshape(-1, 4)
+        radius, direction = offsets[:, :1], offsets[:, 1:]
+        centres = points[i] + np.sign(direction) * half + radius * direction
+        low, high = centres - half, centres + half
+        outside = np.maximum(-low, 0) + np.maximum(high - size, 0)
+        edges = np.minimum(high[:, None], others[:, 2:]) - np.maximum(low[:, None], others[:, :2])
+        overlap = np.maximum(edges, 0).prod(axis=2).sum(axis=1)
+        best = int((10 * outside.sum(axis=1) + overlap + radius[:, 0]).argmin())
+        taken.append(np.concatenate([low[best], high[best]]))
+        nearest = np.clip(points[i], low[best], high[best])
+        found[int(i)] = LabelPlace(int(i), centres[best], nearest, bool(radius[best, 0] > 5))
+    return [found[i] for i in range(len(points))]
+
+
 def _label_points(axis: Axes, labels: Sequence[str], x: F64, y: F64) -> None:
-    """Label the points where there is room: near each, clear of the others and their labels."""
+    """Label the points where there is room."""
     low, high = (np.array(limits) for limits in zip(axis.get_xlim(), axis.get_ylim(), strict=True))
     box = axis.get_window_extent()
     size = np.array([box.width, box.height]) * 72 / axis.figure.dpi
     points = (np.stack([x, y], axis=1) - low) / (high - low) * size
-    marks = np.concatenate([points - 4, points + 4], axis=1)
-    taken: list[F64] = []
-    for i in np.argsort(points[:, 1]):
-        half = np.array([2.3 * len(labels[i]), 4.5])  # of the text, about
-        others = np.array([*taken, *np.delete(marks, i, axis=0)])
-        places = []
-        for radius in (5, 12, 20, 30):
-            for direction in _DIRECTIONS:
-                centre = points[i] + np.sign(direction) * half + radius * np.array(direction)
-                rectangle = np.concatenate([centre - half, centre + half])
-                outside = np.maximum(-rectangle[:2], 0) + np.maximum(rectangle[2:] - size, 0)
-                cost = 10 * outside.sum() + _overlap(rectangle, others) + radius
-                places.append((cost, radius, centre, rectangle))
-        _, radius, centre, rectangle = min(places, key=lambda place: place[0])
-        taken.append(rectangle)
-        if radius > 5:
-            nearest = np.clip(points[i], rectangle[:2], rectangle[2:])
-            ends = np.stack([points[i], nearest]) / size * (high - low) + low
+    for place in label_places(points, labels, size):
+        if place.far:
+            ends = np.stack([points[place.of], place.nearest]) / size * (high - low) + low
             axis.plot(ends[:, 0], ends[:, 1], color="#888888", lw=0.6, zorder=2)
-        x_text, y_text = centre / size * (high - low) + low
+        x_text, y_text = place.centre / size * (high - low) + low
         axis.text(
-            x_text, y_text, literal(labels[i]), fontsize=8, ha="center", va="center", zorder=4
-        )
-
-
-def _overlap(one: F64, many: F64) -> float:
-    """Summed area of the overlap of one rectangle (two corners) with others."""
-    if not len(many):
-        return 0.0
-    edges = np.minimum(one[2:], many[:, 2:]) - np.maximum(one[:2], many[:, :2])
-    return float(np.maximum(edges, 0).prod(axis=1).sum())
+            x_text, y_text, literal(labels[place.of]), fontsize=8, ha="center", va="center",
+            zorder=4,
+        )  # fmt: skip
 
 
 def depth_curves(
@@ -158,7 +193,7 @@ def depth_curves(
             np.asarray(values),
             lw=1.5,
             color=builder_colour(i),
-            ls=_DASHES[i % len(_DASHES)],
+            ls=DASHES[i % len(DASHES)],
             label=literal(label),
             gid=gids[i] if gids else None,
         )

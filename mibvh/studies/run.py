@@ -293,7 +293,10 @@ def _words(step: Progress) -> str:
 
 
 def write_outputs(
-    folder: Path, records: Sequence[SceneRecord], left_out: Mapping[str, str] | None = None
+    folder: Path,
+    records: Sequence[SceneRecord],
+    left_out: Mapping[str, str] | None = None,
+    figures: Sequence[str] = (),
 ) -> None:
     """Write the tables, the environment and the report of the scenes that are finished.
 
@@ -313,7 +316,7 @@ def write_outputs(
     write_text(folder / "environment.json", json.dumps(records[-1].environment, indent=2))
     missing = [f"Left out: {name}: {why}\n" for name, why in (left_out or {}).items()]
     write_text(folder / "results.md", "\n".join([*missing, *(s.markdown() for s in sheets)]))
-    written += write_report(folder, records, found, sheets, of_scenes, left_out or {})
+    written += write_report(folder, records, found, sheets, of_scenes, left_out or {}, figures)
     store = Store(folder / "cache")
     for name in _written_before(store) - set(written):
         with contextlib.suppress(OSError):
@@ -330,21 +333,32 @@ def _written_before(store: Store) -> set[str]:
     return {name for name in found.files if _OUTPUT.fullmatch(name)}
 
 
-def remake_report(folder: str | os.PathLike[str]) -> Study:
+def remake_report(folder: str | os.PathLike[str], figures: Sequence[str] = ()) -> Study:
     """Write a study's tables and report anew, without measuring again.
 
     The folder may be somebody else's: what stands in its records is taken for data.
+
+    Parameters
+    ----------
+    folder : path
+    figures : sequence of str
+        What figures are drawn as beside SVG: ``pdf``, ``png``.
 
     Raises
     ------
     MibvhError
         As of :func:`read_study`, or if the records make no sense, a study is at work in the
-        folder, or it cannot be written.
+        folder, it cannot be written, or there is no such form of figures.
     """
+    from mibvh.studies.report.drawing import KINDS
+
+    for kind in figures:
+        if kind not in KINDS:
+            raise MibvhError(f"figures are drawn as {' or '.join(KINDS)} beside SVG, not {kind!r}")
     found = read_study(folder)
     with alone_in(found.folder):
         try:
-            write_outputs(found.folder, found.scenes, found.left_out)
+            write_outputs(found.folder, found.scenes, found.left_out, figures)
         except MibvhError:
             raise
         # The types are right, but not what they tell together: lists of other lengths, a picture

@@ -8,7 +8,13 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from mibvh.metrics.predictor import agreement, bootstrap_interval, held_out, pearson
+from mibvh.metrics.predictor import (
+    agreement,
+    bootstrap_interval,
+    fisher_interval,
+    held_out,
+    pearson,
+)
 from mibvh.metrics.predictors import Predictor, Sample, alpha_of, predictor, predictors
 from mibvh.metrics.registry import Quantity
 from mibvh.studies.record.quantities import targets
@@ -27,6 +33,8 @@ _NO_AGREEMENT: dict[str, float] = dict.fromkeys(
         "held_out",
         "low",
         "high",
+        "trees_low",
+        "trees_high",
     ),
     _NONE,
 ) | {"trees": 0}
@@ -67,8 +75,9 @@ def correlations(records: Records) -> pd.DataFrame:
     DataFrame
         Columns ``scene, measurement, predictor, alpha``, those of
         :func:`mibvh.metrics.predictor.agreement`, ``held_out`` (Pearson r of trees predicted from
-        a fit to the other trees, for predictors with free weights), and ``low, high`` (95%
-        bootstrap interval of r over the rays, for counted cost).
+        a fit to the other trees, for predictors with free weights), ``low, high`` (95%
+        bootstrap interval of r over the rays, for counted cost), and ``trees_low, trees_high``
+        (95% interval of r over the trees; :func:`mibvh.metrics.predictor.fisher_interval`).
     """
     rows = [row for target in targets() for row in _of_target(records, target)]
     return pd.DataFrame(rows)
@@ -91,6 +100,8 @@ def _of_target(records: Records, target: Quantity) -> Iterator[dict[str, float |
             if not one.knows(sample.values):
                 continue
             weights, values = one(known, place)
+            agrees = agreement(values, sample.measured)
+            trees = fisher_interval(agrees["pearson"], agrees["trees"])
             low = high = _NONE
             if target.name == "counted_cost":
                 low, high = bootstrap_interval(values, groups)
@@ -98,10 +109,12 @@ def _of_target(records: Records, target: Quantity) -> Iterator[dict[str, float |
                 **name,
                 "predictor": one.name,
                 "alpha": alpha_of(weights),
-                **agreement(values, sample.measured),
+                **agrees,
                 "held_out": _held_out(one, sample),
                 "low": low,
                 "high": high,
+                "trees_low": trees[0],
+                "trees_high": trees[1],
             }
         place += 1
 

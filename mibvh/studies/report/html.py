@@ -1,20 +1,24 @@
-"""The report: one HTML file that works offline, and its figures as files."""
+"""The report: one HTML file that works offline, and its figures as files.
+
+It answers in the order in which a reader asks: which tree is best and by how much, how well that
+was predicted, by what, where the cost sits; then the paper's claims, the scenes, and all tables.
+"""
 
 from __future__ import annotations
 
 import base64
 import functools
 import io
-import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from mibvh.files import atomic_path, file_name, make_folder, write_text
+from mibvh.files import file_name, make_folder, write_text
 from mibvh.metrics.predictors import predictors
+from mibvh.plot.marks import builder_colour
 from mibvh.studies.analyse.correlations import overview, worst_error
 from mibvh.studies.analyse.rotation import rotation_factors
 from mibvh.studies.analyse.sweep import sweeps
@@ -25,8 +29,12 @@ from mibvh.studies.record.scene import Records, SceneRecord
 from mibvh.studies.record.serialise import to_json
 from mibvh.studies.record.sheet import Sheet
 from mibvh.studies.report import plots
-from mibvh.studies.report.tables.prediction import SECTION as PREDICTION
-from mibvh.studies.report.tables.prediction import times_known
+from mibvh.studies.report.answer import answer
+from mibvh.studies.report.drawing import Drawing
+from mibvh.studies.report.tables.audit import failures
+from mibvh.studies.report.tables.builders import SECTION as DEPTH
+from mibvh.studies.report.tables.claims import SECTION as CLAIMS
+from mibvh.studies.report.tables.prediction import NAMED, times_known
 from mibvh.studies.report.tables.rotation import SECTION as ROTATION
 
 #: What is said below the figures of a scene that are of its trees.
@@ -61,8 +69,9 @@ def write_report(
     sheets: list[Sheet],
     of_scenes: list[list[Sheet]],
     left_out: Mapping[str, str],
+    kinds: Sequence[str] = (),
 ) -> list[str]:
-    """Write ``report.html``, and each figure as SVG, PDF and PNG under ``figures/``.
+    """Write ``report.html``, and each figure as SVG under ``figures/``.
 
     Parameters
     ----------
@@ -76,6 +85,9 @@ def write_report(
         Of each scene; see :func:`mibvh.studies.report.tables.scene_answers`.
     left_out : mapping of str to str
         Scenes that could not be studied, and why.
+    kinds : sequence of str
+        Other forms to draw the figures in, from :data:`~mibvh.studies.report.drawing.KINDS`; a
+        form takes some 50 ms per figure.
 
     Returns
     -------
@@ -83,22 +95,32 @@ def write_report(
         The figures' files, relative to the folder.
     """
     make_folder(folder / "figures")
-    draw = _Draw(folder)
+    draw = _Draw(folder, kinds)
     factors = rotation_factors(records)
+    first = {CLAIMS, DEPTH}
+    titles = dict.fromkeys(sheet.section for sheet in sheets)
+    groups = {title: [s for s in sheets if s.section == title] for title in titles}
+    main = _main_predictor(found)
     page = _template().render(
         builders=_builders(records),
         left_out=left_out,
-        sections=[
-            (title, list(group)) for title, group in itertools.groupby(sheets, lambda s: s.section)
-        ],
+        doubted=len(failures(records)),
+        answer=answer(records, found),
+        winners=draw("winners", plots.winners(records)),
+        multiples=draw("multiples", plots.multiples(records, main)),
+        main=main,
+        named=_predictors(found, named=True),
+        others=_predictors(found, named=False),
+        summary=draw("summary", plots.summary(found, [n for n in NAMED if n in _known(found)])),
+        other_summary=draw("summary-others", plots.summary(found, _other_names(found))),
+        where=groups.get(DEPTH, []),
+        claims=groups.get(CLAIMS, []),
+        sections=[(title, group) for title, group in groups.items() if title not in first],
         scenes=[
             _scene(draw, record, found, of_scene)
             for record, of_scene in zip(records, of_scenes, strict=True)
         ],
-        headline=_overall(found),
         times_known=times_known(records, quantities()["scalar_ns"]),
-        prediction=PREDICTION,
-        summary=draw("summary", plots.summary(found)),
         rotating=ROTATION if len(factors) else None,
         rotation=draw("rotation", plots.rotation(factors)) if len(factors) else [],
         environment=records[-1].environment,
@@ -111,27 +133,58 @@ def write_report(
 class _Draw:
     """Writes figures' files, and notes which."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, kinds: Sequence[str]) -> None:
+        self._folder, self._kinds = folder, kinds
         self.written: list[str] = []
 
-    def __call__(self, name: str, figure: Any) -> list[str]:
+    def __call__(self, name: str, figure: Drawing) -> list[str]:
         """Write a figure. Returns the SVG of each of its panels, to stand in the page."""
-        drawn = plots.svg(figure)
-        files = [f"figures/{file_name(name)}.{kind}" for kind in ("svg", "pdf", "png")]
-        write_text(self._folder / files[0], drawn.replace("currentColor", "#222"))
-        for file, data in ((files[1], plots.pdf(figure)), (files[2], plots.png(figure))):
-            with atomic_path(self._folder / file) as path:
-                path.write_bytes(data)
-        self.written += files
-        return plots.panels(drawn)
+        stem = f"figures/{file_name(name)}"
+        write_text(self._folder / f"{stem}.svg", figure.file())
+        for kind in self._kinds:
+            figure.save(self._folder / f"{stem}.{kind}")
+        self.written += [f"{stem}.{kind}" for kind in ("svg", *self._kinds)]
+        return [figure.svg(part) for part in figure.parts]
+
+
+def _known(found: pd.DataFrame) -> list[str]:
+    return list(dict.fromkeys(found["predictor"]))
+
+
+def _other_names(found: pd.DataFrame) -> list[str]:
+    return [name for name in _known(found) if name not in NAMED]
+
+
+def _main_predictor(found: pd.DataFrame) -> str:
+    """Return the predictor of the small multiples: the one that the documentation advises."""
+    known = _known(found)
+    return next((name for name in ("finite rays", "fitted", "SAH") if name in known), known[0])
+
+
+def _predictors(found: pd.DataFrame, named: bool) -> list[dict[str, str]]:
+    """Name, formula and r of the named predictors, or of the others."""
+    table = overview(found)
+    rows = []
+    for one in sorted(predictors(), key=lambda p: [*NAMED, p.name].index(p.name)):
+        if (one.name in NAMED) is not named or one.name not in _known(found):
+            continue
+        r = [[table.loc[(t, one.name), c] for c in ("mean", "min")] for t in _FIRST_HELD]
+        rows.append(
+            {
+                "name": one.name,
+                "formula": one.formula,
+                "free": {"0": "nothing fitted"}.get(one.free, f"fitted: {one.free}"),
+                "counted": f"{_r(r[0][0])} ({_r(r[0][1])})",
+                "timed": f"{_r(r[1][0])} ({_r(r[1][1])})",
+            }
+        )
+    return rows
 
 
 def _builders(records: Records) -> list[dict[str, str]]:
     """Name and colour of each builder; those of the scene that has most come first."""
-    by_size = sorted(records, key=lambda record: -len(record.trees))
-    names = dict.fromkeys(tree.builder for record in by_size for tree in record.trees)
-    return [{"name": name, "colour": plots.builder_colour(i)} for i, name in enumerate(names)]
+    names = plots.places_of(records)
+    return [{"name": name, "colour": builder_colour(i)} for name, i in names.items()]
 
 
 def _scene(
@@ -167,21 +220,6 @@ def _figures(record: SceneRecord) -> Iterator[tuple[str, str, Any]]:
     for sweep in sweeps(record):
         name = f"sweep-{sweep.builder}-{sweep.option}"
         yield name, f"{sweep.name}: cost against {sweep.option}.", plots.swept(sweep)
-
-
-def _overall(found: pd.DataFrame) -> list[tuple[str, ...]]:
-    """Of each headline predictor: title, mean and least r with counted cost, the same with time.
-
-    Empty where no r is known.
-    """
-    summary = overview(found)
-    tiles = []
-    for one in predictors():
-        if one.headline:
-            values = [summary.loc[(m, one.name), c] for m in _FIRST_HELD for c in ("mean", "min")]
-            if np.isfinite(values[0]):
-                tiles.append((one.headline, *map(_r, values)))
-    return tiles
 
 
 def _of_scene(record: SceneRecord, found: pd.DataFrame) -> list[tuple[str, str, str, str]]:

@@ -1,169 +1,201 @@
-"""Plots of the report, by matplotlib; text and lines take the colour of the page they are in.
-
-A figure is a row of panels of one size, so that a page can also set them one below the other.
-"""
+"""Figures of the report: what is drawn of a study's records, panel by panel."""
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Iterator
-from contextlib import contextmanager
-from xml.etree import ElementTree
+from collections.abc import Sequence
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from mibvh.metrics.predictor import pearson
+from mibvh.metrics.predictors import predictor
 from mibvh.metrics.registry import Quantity
-from mibvh.plot.marks import STYLE, builder_colour, depth_curves, literal, named_points
-from mibvh.studies.analyse.correlations import predicted
+from mibvh.plot.marks import builder_colour
+from mibvh.studies.analyse.correlations import SCALAR, predicted
 from mibvh.studies.analyse.rotation import headings
 from mibvh.studies.analyse.sweep import Sweep
+from mibvh.studies.analyse.winners import Winner, winner, winner_in_time
 from mibvh.studies.measure.depth import DepthResult
 from mibvh.studies.record.quantities import quantities, targets
-from mibvh.studies.record.scene import SceneRecord
+from mibvh.studies.record.scene import Records, SceneRecord, samples
+from mibvh.studies.report.axes import MARGINS, Panel
+from mibvh.studies.report.drawing import Dot, Drawing, Part, Stroke, Words
 from mibvh.triangles import F64
 
-#: Stands for "the text colour of the page" until the figure is in it.
-_INK = "#123457"
-#: Separates the parts of what is said of a point, in its group id: whose it is, and a tooltip.
-_TIP = "tip|"
-#: Width of a panel and room around its axes, in inches: left, right, bottom, top.
-_WIDTH, _MARGINS = 3.6, (0.72, 0.12, 0.48, 0.32)
-#: Builders' names in a row of the strip below the panels, and the height of a row, in inches.
-_NAMES, _ROW = 9, 0.22
-_SVG = "http://www.w3.org/2000/svg"
+#: Size of a panel of a pair, in points.
+_WIDTH, _HEIGHT = 259.0, 202.0
+#: Builders' names in a row of the strip below the panels, and the height of a row.
+_NAMES, _ROW = 5, 14.0
+#: The small multiples: size, margins, how many in a row of the file.
+_SMALL, _SMALL_MARGINS, _COLUMNS = (170.0, 158.0), (34.0, 8.0, 24.0, 34.0), 4
+#: The winners: width of the figure, height of a scene's row, where its line begins and ends, and
+#: the costs over the best beyond which trees stand at its end.
+_WINNERS, _STEP, _BEGIN, _END, _MOST = 380.0, 52.0, 8.0, 348.0, 0.6
+_GREY = "#888888"
 
 
-@contextmanager
-def style() -> Iterator[None]:
-    """Matplotlib settings of all figures."""
-    with mpl.rc_context({
-        **STYLE,
-        "axes.edgecolor": _INK, "axes.labelcolor": _INK, "text.color": _INK,
-        "xtick.color": _INK, "ytick.color": _INK, "svg.fonttype": "none", "svg.hashsalt": "mibvh",
-        "figure.facecolor": "none", "axes.facecolor": "none",
-    }):  # fmt: skip
-        yield
+def places_of(records: Records) -> dict[str, int]:
+    """Return the place of each builder among all: its colour and shape."""
+    by_size = sorted(records, key=lambda record: -len(record.trees))
+    names = dict.fromkeys(tree.builder for record in by_size for tree in record.trees)
+    return {name: i for i, name in enumerate(names)}
 
 
-def _figure(
-    panels: int, height: float = 2.8, bottom: float = 0.0, strip: float = 0.0
-) -> tuple[Figure, list[Axes]]:
-    """A row of panels; margins are fixed, as fitting them to the text takes most of the time.
-
-    Below the panels there is room for a strip that only the files have.
-    """
-    left, right, low, top = _MARGINS
-    low = (bottom or low) + strip
-    height += strip
-    figure = Figure(figsize=(_WIDTH * panels, height))
-    figure.set_gid(f"strip-{72 * strip:g}")
-    axes = [
-        figure.add_axes((
-            (i + left / _WIDTH) / panels, low / height,
-            (1 - (left + right) / _WIDTH) / panels, 1 - (low + top) / height,
-        ), gid=f"panel-{i}")
-        for i in range(panels)
-    ]  # fmt: skip
-    return figure, axes
+def _pair(
+    height: float = _HEIGHT, strip: float = 0.0, panels: int = 2
+) -> tuple[Drawing, list[Part]]:
+    """A row of panels above a strip that only files have."""
+    sheet = Drawing(_WIDTH * panels, height + strip)
+    return sheet, [Part(i * _WIDTH, 0.0, _WIDTH, height) for i in range(panels)]
 
 
-def _name(axis: Axes, title: str, x: str, y: str) -> None:
-    """Write title and axis labels at fixed places: finding them takes as long as drawing."""
-    axis.set_title(title, loc="left", y=1.02)
-    box = axis.get_window_extent()
-    inch = axis.figure.dpi
-    axis.set_xlabel(x)
-    axis.set_ylabel(y)
-    axis.xaxis.set_label_coords(0.5, -0.29 * inch / box.height)
-    axis.yaxis.set_label_coords(-0.56 * inch / box.width, 0.5)
+def _limits(values: F64, margin: float = 0.06) -> tuple[float, float]:
+    known = np.asarray(values, np.float64)
+    known = known[np.isfinite(known)]
+    if not len(known):
+        return 0.0, 1.0
+    low, high = float(known.min()), float(known.max())
+    room = margin * ((high - low) or abs(high) or 1.0)
+    return low - room, high + room
+
+
+def _legend(sheet: Drawing, names: Sequence[str], top: float) -> None:
+    """Name the builders in the strip below the panels."""
+    column = sheet.width / _NAMES
+    for i, name in enumerate(names):
+        x, y = (i % _NAMES) * column + 14, top + _ROW * (i // _NAMES) + 8
+        line = np.array([[x - 10, y], [x + 2, y]])
+        sheet.add(Stroke(points=line, colour=builder_colour(i), width=2))
+        sheet.add(Words(x=x + 6, y=y, text=name))
 
 
 def _strip(record: SceneRecord) -> float:
-    """Height of the strip that takes the names of a scene's builders, in inches."""
-    return _ROW * (1 + (len(record.trees) - 1) // _NAMES) + 0.08
+    return _ROW * (1 + (len(record.trees) - 1) // _NAMES) + 4
 
 
-def _legend(figure: Figure, axis: Axes) -> None:
-    """Name an axis's curves in the strip below the panels, clear of all curves."""
-    curves, names = axis.get_legend_handles_labels()
-    columns = min(max(len(names), 1), _NAMES)
-    figure.legend(curves, names, loc="lower center", fontsize=7.5, ncols=columns,
-                  columnspacing=1.3, handlelength=1.8, borderaxespad=0.2)  # fmt: skip
+# ------ The winners ------
 
 
-def _tip(builder: str) -> str:
-    """Return the beginning of the id of what is of a builder; its tooltip follows."""
-    return f"{_TIP}{builder.replace('|', '¦')}|"
+def winners(records: Records) -> Drawing:
+    """Of each scene the winner, its lead and error, and where the other trees stand.
+
+    A row per scene: its name, who wins by counted cost and by scalar time, and a point per tree at
+    its counted cost over the best.
+    """
+    sheet = Drawing(_WINNERS, _STEP * len(records))
+    places = places_of(records)
+    most = min(_MOST, max((_over(r).max() for r in records), default=_MOST)) or _MOST
+    for row, record in enumerate(records):
+        sheet.parts.append(Part(0.0, row * _STEP, _WINNERS, _STEP))
+        _winner_row(sheet, record, places, row * _STEP, most)
+    return sheet
 
 
-def svg(figure: Figure) -> str:
-    """Return a figure as SVG, page-coloured and with tooltips."""
-    buffer = io.StringIO()
-    with style():
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :].replace(_INK, "currentColor")
-    return re.sub(
-        rf'id="{re.escape(_TIP)}([^"|]*)\|([^"]*)"',
-        r'class="point" tabindex="0" role="img" data-builder="\1" data-tip="\2" aria-label="\2"',
-        text,
+def _over(record: SceneRecord) -> F64:
+    costs = record.column("counted_cost")
+    return costs / costs.min() - 1 if costs.min() > 0 else np.zeros(len(costs))
+
+
+def _winner_row(
+    sheet: Drawing, record: SceneRecord, places: dict[str, int], top: float, most: float
+) -> None:
+    best, y = winner(record), top + 38
+    sheet.add(
+        Words(x=_BEGIN - 6, y=top + 8, text=record.scene, size=11, strong=True),
+        Words(x=_BEGIN - 6, y=top + 23, text=_winner_words(record, best), size=9.5),
+        Stroke(points=np.array([[_BEGIN, y], [_END, y]]), colour=_GREY, opacity=0.5),
+        Words(x=_END + 5, y=y, text=f"+{most:.0%}", opacity=0.75),
+    )
+    # The best is drawn last, on top.
+    for over, tree in sorted(
+        zip(_over(record), record.trees, strict=True), key=lambda pair: -pair[0]
+    ):
+        place, first = places[tree.builder], tree.builder == best.builder
+        sheet.add(
+            Dot(
+                x=_BEGIN + min(over / most, 1.0) * (_END - _BEGIN), y=y,
+                size=10.0 if first else 7.0, colour=builder_colour(place), owner=tree.builder,
+                tip=f"{record.scene}: {tree.builder}, counted cost {tree['counted_cost']:.4g}, "
+                f"+{over:.1%} over the best",
+            )
+        )  # fmt: skip
+
+
+def _winner_words(record: SceneRecord, best: Winner) -> str:
+    timed = winner_in_time(record, SCALAR)
+    if timed is None or not timed.second:
+        return str(best)
+    if timed.builder == best.builder and timed.sure:
+        return f"{best}; in time by {timed.lead:.1%} ± {timed.error:.1%}"
+    return (
+        f"{best}; in time {timed.builder if timed.sure else f'{timed.builder} or {timed.second}'}"
     )
 
 
-def panels(text: str) -> list[str]:
-    """Split a figure's SVG into one per panel, without the names that only matplotlib needs.
+# ------ Predicted against measured ------
 
-    The strip below them is left out: a page says once what each colour stands for.
+
+def multiples(records: Records, name: str) -> Drawing:
+    """Predicted against counted cost, a panel per scene: SAH in grey, a predictor in colour.
+
+    Both are put on the measured scale by their least-squares lines, so that one axis serves both:
+    on the diagonal a tree is predicted exactly, and r is what it was.
     """
-    ElementTree.register_namespace("", _SVG)
-    ElementTree.register_namespace("xlink", "http://www.w3.org/1999/xlink")
-    root = ElementTree.fromstring(text)
-    whole = next(g for g in root if g.get("id", "").startswith("strip-"))
-    strip = float(whole.attrib["id"].removeprefix("strip-"))
-    axes = [g for g in whole if g.get("id", "").startswith("panel-")]
-    _, _, width, height = map(float, root.attrib["viewBox"].split())
-    for name in ("width", "height"):
-        del root.attrib[name]
-    for child in list(root):
-        if child.tag == f"{{{_SVG}}}metadata":
-            root.remove(child)
-    for group in root.iter(f"{{{_SVG}}}g"):
-        group.attrib.pop("id", None)
+    rows = -(-len(records) // _COLUMNS)
+    columns = min(len(records), _COLUMNS)
+    sheet = Drawing(_SMALL[0] * columns, _SMALL[1] * rows)
+    places, known = places_of(records), samples(records, "counted_cost")
+    for i, record in enumerate(records):
+        corner = (i % _COLUMNS) * _SMALL[0], (i // _COLUMNS) * _SMALL[1]
+        _multiple(sheet, record, _lines(known, i, name), places, Part(*corner, *_SMALL), name)
+    return sheet
+
+
+def _lines(known: list, place: int, name: str) -> tuple[F64, F64, float, float]:
+    """SAH and a predictor on the measured scale, and r of both."""
+    measured = known[place].measured
     found = []
-    for i, panel in enumerate(axes):
-        whole[:] = [panel]
-        part = width / len(axes)
-        root.set("viewBox", f"{i * part:g} 0 {part:g} {height - strip:g}")
-        found.append(ElementTree.tostring(root, encoding="unicode"))
-    return found
+    for one in ("SAH", name):
+        values = predictor(one)(known, place)[1]
+        if not (np.isfinite(values).all() and np.ptp(values) > 0):
+            values = np.full(len(measured), np.nan)
+        else:
+            slope, base = np.polyfit(values, measured, 1) if len(values) > 1 else (0.0, measured[0])
+            values = base + slope * values
+        found.append(values)
+    r = [pearson(values, measured) if np.isfinite(values).all() else np.nan for values in found]
+    # A falling line has a negative r on either scale.
+    return found[0], found[1], r[0], r[1]
 
 
-def pdf(figure: Figure) -> bytes:
-    """Return a figure as PDF, for papers; without a background."""
-    buffer = io.BytesIO()
-    with style():
-        figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
-    return buffer.getvalue()
+def _multiple(
+    sheet: Drawing, record: SceneRecord, found: tuple[F64, F64, float, float],
+    places: dict[str, int], part: Part, name: str,
+) -> None:  # fmt: skip
+    sah, main, r_sah, r_main = found
+    measured = record.column("counted_cost")
+    limits = _limits(np.concatenate([sah, main, measured]), 0.08)
+    panel = Panel(sheet, part, limits, limits, margins=_SMALL_MARGINS)
+    sheet.add(
+        Words(x=part.x + 6, y=part.y + 8, text=record.scene[:26], size=9, strong=True),
+        Words(x=part.x + 6, y=part.y + 21, text=f"r {_r(r_sah)} → {_r(r_main)}", size=8),
+    )
+    panel.line(limits, limits)
+    panel.hollow(sah, measured)
+    owners = [tree.builder for tree in record.trees]
+    tips = [
+        f"{record.scene}, {tree.builder}: counted cost {y:.4g}, {name} says {x:.4g}, SAH {s:.4g} "
+        "(all by the least-squares line)"
+        for tree, x, y, s in zip(record.trees, main, measured, sah, strict=True)
+    ]
+    panel.dots(main, measured, owners, tips, [places[o] for o in owners], size=5.5)
 
 
-def png(figure: Figure) -> bytes:
-    """Return a figure as PNG on white, for slides and papers."""
-    buffer = io.BytesIO()
-    figure.set_facecolor("white")
-    FigureCanvasAgg(figure)
-    with style():
-        figure.savefig(buffer, format="png", dpi=160, pil_kwargs={"compress_level": 4})
-    return buffer.getvalue()
+def _r(value: float) -> str:
+    return f"{value:.3f}" if np.isfinite(value) else "–"
 
 
-def predicted_measured(record: SceneRecord, target: Quantity) -> Figure:
+def predicted_measured(record: SceneRecord, target: Quantity) -> Drawing:
     """Predicted against measured cost of a scene's trees: SAH alone, and SAH with EPO.
 
     Parameters
@@ -174,53 +206,101 @@ def predicted_measured(record: SceneRecord, target: Quantity) -> Figure:
     """
     sample = record.sample(target.name)
     second = "fitted" if np.isfinite(predicted("fitted", sample)[0]) else "fixed 0.79"
-    with style():
-        figure, axes = _figure(2)
-        for axis, name in zip(axes, ("SAH", second), strict=True):
-            alpha, values = predicted(name, sample)
-            _scatter(axis, record, values, target)
-            r = pearson(values, sample.measured)
-            label = "SAH" if name == "SAH" else f"SAH + EPO, α = {alpha:.2f}"
-            title = f"{label}:  r = {r:.3f}" if np.isfinite(r) else label
-            _name(axis, title, "predicted cost", f"measured: {target.heading}")
-    return figure
+    sheet, parts = _pair()
+    for part, name in zip(parts, ("SAH", second), strict=True):
+        alpha, values = predicted(name, sample)
+        r = pearson(values, sample.measured)
+        label = "SAH" if name == "SAH" else f"SAH + EPO, α = {alpha:.2f}"
+        title = f"{label}:  r = {r:.3f}" if np.isfinite(r) else label
+        limits = _limits(values, 0.16), _limits(sample.measured, 0.1)
+        labels = ("predicted cost", f"measured: {target.heading}")
+        panel = Panel(sheet, part, *limits, title=title, labels=labels)
+        _scatter(panel, record, values, target)
+    return sheet
 
 
-def _scatter(axis: Axes, record: SceneRecord, values: F64, target: Quantity) -> None:
+def _scatter(panel: Panel, record: SceneRecord, values: F64, target: Quantity) -> None:
     measured = record.column(target.name)
-    gids = []
+    if len(values) > 1 and np.isfinite(measured).all() and np.ptp(values) > 0:
+        slope, base = np.polyfit(values, measured, 1)
+        ends = np.array([values.min(), values.max()])
+        panel.line(ends, base + slope * ends)
+    names = [tree.builder for tree in record.trees]
+    tips = []
     for tree, x, y in zip(record.trees, values, measured, strict=True):
-        name = tree.builder
         noise = f" ±{tree[target.error]:.1%}" if target.error else ""
-        gids.append(
-            f"{_tip(name)}{name}: {target.heading} {y:.4g}{noise}, predicted {x:.4g}, "
+        tips.append(
+            f"{tree.builder}: {target.heading} {y:.4g}{noise}, predicted {x:.4g}, "
             f"SAH {tree['sah']:.4g}, EPO {tree['epo']:.4g}, LCV {tree['lcv']:.3g}"
         )
-    names = [tree.builder for tree in record.trees]
-    named_points(axis, names, values, measured, line=True, gids=gids)
+    panel.dots(values, measured, names, tips, range(len(names)))
+    if np.isfinite(measured).all():
+        panel.names(values, measured, names)
 
 
-def by_depth(record: SceneRecord) -> Figure:
+def summary(table: pd.DataFrame, names: Sequence[str]) -> Drawing:
+    """Pearson's r of some predictors, a point per scene, with counted cost and scalar time.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From :func:`mibvh.studies.analyse.correlations.correlations`.
+    names : sequence of str
+        Of the predictors, one per row.
+    """
+    shown = table[table["pearson"].notna() & table["predictor"].isin(names)]
+    low = min(float(shown["pearson"].min()), 0.95) if len(shown) else 0.0
+    limits = (low - 0.04 * (1 - low), 1 + 0.02 * (1 - low))
+    held = [q for q in targets() if q.name in ("counted_cost", SCALAR.ns)]
+    height = 60 + 24.0 * len(names)
+    sheet, parts = _pair(height, panels=len(held))
+    margins = (98.0, *MARGINS[1:])
+    for part, target in zip(parts, held, strict=True):
+        labels = ("Pearson's r over a scene's trees", "")
+        panel = Panel(
+            sheet, part, limits, (len(names) - 0.5, -0.5), title=f"with {target.heading}",
+            labels=labels, ticks=(True, False), margins=margins,
+        )  # fmt: skip
+        for i, name in enumerate(names):
+            of = shown[(shown["measurement"] == target.name) & (shown["predictor"] == name)]
+            _summary_row(panel, of, name, i, target)
+    return sheet
+
+
+def _summary_row(panel: Panel, of: pd.DataFrame, name: str, i: int, target: Quantity) -> None:
+    y = float(panel.y(i))
+    panel.sheet.add(Words(x=panel.part.x + 92, y=y, text=name, anchor="end"))
+    tips = [f"{s}: r = {r:.4f}, {name}, {target.heading}"
+            for s, r in zip(of["scene"], of["pearson"], strict=True)]  # fmt: skip
+    spread = np.linspace(-0.18, 0.18, len(of)) if len(of) > 1 else np.zeros(len(of))
+    panel.dots(of["pearson"].to_numpy(), i + spread, [""] * len(of), tips, [i] * len(of), size=4.5,
+               shapes=False, opacity=0.8)  # fmt: skip
+    if len(of):
+        mean = float(panel.x(of["pearson"].mean()))
+        ends = np.array([[mean, y - 9], [mean, y + 9]])
+        panel.sheet.add(Stroke(points=ends, width=1.6))
+
+
+# ------ Where the cost sits ------
+
+
+def by_depth(record: SceneRecord) -> Drawing:
     """Where in the tree the cost and the overlap sit: SAH and EPO by depth."""
-    with style():
-        figure, axes = _figure(2, height=2.5, strip=_strip(record))
-        for axis, name in zip(axes, ("sah", "epo"), strict=True):
-            heading = quantities()[name].heading
-            curves, gids = {}, []
-            for tree in record.trees:
-                levels = tree.sah_by_depth if name == "sah" else tree.epo_by_depth
-                values = curves[tree.builder] = np.array(levels)
-                gids.append(
-                    f"{_tip(tree.builder)}{tree.builder}: {heading} {tree[name]:.4g} "
-                    f"over {len(values)} levels, most at depth {values.argmax()}"
-                )
-            depth_curves(axis, curves, gids)
-            _name(axis, f"{heading} by depth", "depth", "cost")
-        _legend(figure, axes[0])
-    return figure
+    sheet, parts = _pair(180.0, _strip(record))
+    for part, name in zip(parts, ("sah", "epo"), strict=True):
+        heading = quantities()[name].heading
+        levels = [t.sah_by_depth if name == "sah" else t.epo_by_depth for t in record.trees]
+        tips = [
+            f"{tree.builder}: {heading} {tree[name]:.4g} over {len(values)} levels, most at depth "
+            f"{int(np.argmax(values)) if len(values) else 0}"
+            for tree, values in zip(record.trees, levels, strict=True)
+        ]
+        _curves(sheet, part, record, levels, tips, f"{heading} by depth", "depth")
+    _legend(sheet, [tree.builder for tree in record.trees], 180.0)
+    return sheet
 
 
-def remaining(record: SceneRecord, found: DepthResult) -> Figure:
+def remaining(record: SceneRecord, found: DepthResult) -> Drawing:
     """What a top-down sweep minimises: the worst-case cost that remains, by splits and by depth.
 
     Parameters
@@ -229,28 +309,43 @@ def remaining(record: SceneRecord, found: DepthResult) -> Figure:
     found : DepthResult
         Of this scene.
     """
-    with style():
-        figure, axes = _figure(2, height=2.5, strip=_strip(record))
-        left, right, gids = {}, {}, []
-        for tree, cuts in zip(record.trees, found.trees, strict=True):
-            name = tree.builder
-            left[name] = np.array(cuts.remaining_after_splits, dtype=np.float64)
-            right[name] = np.array(cuts.spent_by_depth) + cuts.remaining_by_depth
-            gids.append(
-                f"{_tip(name)}{name}: {left[name][0]:.4g} as one leaf, {left[name][3]:.4g} after "
-                f"7 splits, SAH {tree['sah']:.4g} when all is split"
-            )
-        depth_curves(axes[0], left, gids)
-        depth_curves(axes[1], right, gids)
-        _name(axes[0], "Worst-case triangle cost that remains", "log₂(splits + 1)", "cost")
-        _name(axes[1], "SAH of the tree cut at a depth", "depth", "cost")
-        for axis in axes:
-            axis.set_yscale("log")
-        _legend(figure, axes[0])
-    return figure
+    sheet, parts = _pair(180.0, _strip(record))
+    left = [np.array(cuts.remaining_after_splits, dtype=np.float64) for cuts in found.trees]
+    right = [np.array(c.spent_by_depth) + np.array(c.remaining_by_depth) for c in found.trees]
+    tips = [
+        f"{tree.builder}: {values[0]:.4g} as one leaf, {values[3]:.4g} after 7 splits, "
+        f"SAH {tree['sah']:.4g} when all is split"
+        for tree, values in zip(record.trees, left, strict=True)
+    ]
+    titles = ("Worst-case triangle cost that remains", "log₂(splits + 1)"), (
+        "SAH of the tree cut at a depth", "depth",
+    )  # fmt: skip
+    for part, curves, (title, x) in zip(parts, (left, right), titles, strict=True):
+        _curves(sheet, part, record, curves, tips, title, x, log=True)
+    _legend(sheet, [tree.builder for tree in record.trees], 180.0)
+    return sheet
 
 
-def rotation(factors: pd.DataFrame) -> Figure:
+def _curves(
+    sheet: Drawing, part: Part, record: SceneRecord, curves: Sequence, tips: Sequence[str],
+    title: str, x: str, log: bool = False,
+) -> None:  # fmt: skip
+    values = np.concatenate([np.asarray(c, np.float64) for c in curves] or [np.zeros(1)])
+    known = values[np.isfinite(values) & ((values > 0) | (not log))]
+    y = _limits(known)
+    if log and len(known):
+        y = (float(known.min()) / 1.15, float(known.max()) * 1.15)
+    longest = max((len(c) for c in curves), default=1)
+    panel = Panel(sheet, part, (0, max(longest - 1, 1)), y, title=title, labels=(x, "cost"),
+                  log=(False, log))  # fmt: skip
+    for i, (tree, curve, tip) in enumerate(zip(record.trees, curves, tips, strict=True)):
+        panel.curve(np.arange(len(curve)), curve, tree.builder, tip, i)
+
+
+# ------ Experiments ------
+
+
+def rotation(factors: pd.DataFrame) -> Drawing:
     """What rotating the scenes costs, counted, against what SAH and SAH with EPO predict.
 
     Parameters
@@ -259,27 +354,28 @@ def rotation(factors: pd.DataFrame) -> Figure:
         From :func:`mibvh.studies.analyse.rotation.rotation_factors`.
     """
     builders, titles = list(dict.fromkeys(factors["builder"])), headings()
-    with style():
-        figure, axes = _figure(2, height=3.0)
-        for axis, name in zip(axes, ("sah", "fitted"), strict=True):
-            x, y = factors[name], factors["counted_cost"]
-            ends = [min(x.min(), y.min()), max(x.max(), y.max())]
-            axis.plot(ends, ends, color="#888888", lw=1, zorder=1)
-            for i, builder in enumerate(builders):
-                for _, row in factors[factors["builder"] == builder].iterrows():
-                    tip = (
-                        f"{row['scene']}, {builder}: counted cost {row['counted_cost']:.2f}×, "
-                        f"SAH {row['sah']:.2f}×, EPO {row['epo']:.2f}×"
-                    )
-                    axis.plot([row[name]], [row["counted_cost"]], "o", ms=4.5,
-                              color=builder_colour(i), mec="none", alpha=0.85,
-                              gid=f"{_tip(builder)}{tip}")  # fmt: skip
-            title = titles[name]
-            _name(axis, title, "predicted factor", "factor of counted cost")
-    return figure
+    place = [builders.index(name) for name in factors["builder"]]
+    tips = [
+        f"{row['scene']}, {row['builder']}: counted cost {row['counted_cost']:.2f}×, "
+        f"SAH {row['sah']:.2f}×, EPO {row['epo']:.2f}×"
+        for _, row in factors.iterrows()
+    ]
+    sheet, parts = _pair(216.0)
+    for part, name in zip(parts, ("sah", "fitted"), strict=True):
+        x, y = factors[name].to_numpy(np.float64), factors["counted_cost"].to_numpy(np.float64)
+        labels = ("predicted factor", "factor of counted cost")
+        panel = Panel(sheet, part, _limits(x), _limits(y), title=titles[name], labels=labels)
+        known = np.concatenate([x, y])
+        known = known[np.isfinite(known)]
+        ends = [max(panel.x.low, panel.y.low), min(panel.x.high, panel.y.high)]
+        if len(known) and ends[0] < ends[1]:
+            panel.line(ends, ends)
+        panel.dots(x, y, list(factors["builder"]), tips, place, size=4.5, shapes=False,
+                   opacity=0.85)  # fmt: skip
+    return sheet
 
 
-def swept(sweep: Sweep) -> Figure:
+def swept(sweep: Sweep) -> Drawing:
     """Cost of a builder's trees against one of its options.
 
     Parameters
@@ -287,53 +383,23 @@ def swept(sweep: Sweep) -> Figure:
     sweep : Sweep
     """
     known = quantities()
-    with style():
-        figure, axes = _figure(2)
-        for axis, names in zip(axes, (("counted_cost",), ("sah", "epo")), strict=True):
-            for i, name in enumerate(names):
-                values = sweep.column(name)
-                heading = known[name].heading
-                axis.plot(sweep.values, values, color=builder_colour(i), lw=1.2, label=heading)
-                for x, y, tree in zip(sweep.values, values, sweep.trees, strict=True):
-                    tip = f"{tree.builder}: {heading} {y:.4g}"
-                    axis.plot([x], [y], "o", ms=4.5, color=builder_colour(i), mec="none",
-                              gid=f"{_TIP}{tree.builder}|{tip}")  # fmt: skip
+    sheet, parts = _pair()
+    for part, names in zip(parts, (("counted_cost",), ("sah", "epo")), strict=True):
+        columns = [sweep.column(name) for name in names]
+        title = " and ".join(known[n].heading for n in names)
+        panel = Panel(
+            sheet, part, _limits(np.asarray(sweep.values, np.float64)),
+            _limits(np.concatenate(columns)), title=title, labels=(sweep.option, "cost"),
+        )  # fmt: skip
+        for i, (name, values) in enumerate(zip(names, columns, strict=True)):
+            heading = known[name].heading
+            panel.line(sweep.values, values, colour=builder_colour(i), width=1.2)
+            tips = [f"{tree.builder}: {heading} {y:.4g}"
+                    for tree, y in zip(sweep.trees, values, strict=True)]  # fmt: skip
+            owners = [tree.builder for tree in sweep.trees]
+            panel.dots(sweep.values, values, owners, tips, [i] * len(owners), size=4.5,
+                       shapes=False)  # fmt: skip
+            at = float(panel.x(sweep.values[-1])), float(panel.y(values[-1]))
             if len(names) > 1:
-                axis.legend(fontsize=7.5)
-            _name(axis, " and ".join(known[n].heading for n in names), sweep.option, "cost")
-    return figure
-
-
-def summary(table: pd.DataFrame) -> Figure:
-    """Pearson's r of each predictor, a point per scene, for each measurement.
-
-    Parameters
-    ----------
-    table : DataFrame
-        From :func:`mibvh.studies.analyse.correlations.correlations`.
-    """
-    names = list(dict.fromkeys(table["predictor"]))
-    shown = table[table["pearson"].notna()]
-    with style():
-        figure, axes = _figure(len(targets()), height=3.45, bottom=1.07)
-        for axis, target in zip(axes, targets(), strict=True):
-            rows = shown[shown["measurement"] == target.name]
-            for i, name in enumerate(names):
-                of = rows[rows["predictor"] == name]
-                jitter = np.linspace(-0.2, 0.2, len(of)) if len(of) > 1 else np.zeros(len(of))
-                for scene, r, dx in zip(of["scene"], of["pearson"], jitter, strict=True):
-                    tip = f"{scene}: r = {r:.4f}, {name}, {target.heading}"
-                    axis.plot([i + dx], [r], "o", ms=4, color=builder_colour(i), alpha=0.85,
-                              mec="none", gid=f"{_TIP}|{tip}")  # fmt: skip
-                if len(of):
-                    axis.hlines(of["pearson"].mean(), i - 0.32, i + 0.32, color=_INK, lw=1.3)
-            axis.set_xticks(
-                range(len(names)), [literal(name) for name in names],
-                rotation=45, ha="right", rotation_mode="anchor",
-            )  # fmt: skip
-            axis.grid(False, axis="x")
-            _name(axis, target.heading, "", "Pearson r over the trees")
-            if len(shown):
-                low = shown["pearson"].min()
-                axis.set_ylim(low - 0.05 * (1 - low), 1 + 0.03 * (1 - low))
-    return figure
+                sheet.add(Words(x=at[0] - 4, y=at[1] - 7, text=heading, anchor="end"))
+    return sheet

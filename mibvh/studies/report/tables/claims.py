@@ -10,7 +10,7 @@ from mibvh.studies.paper.claims import claims
 from mibvh.studies.record.scene import Records
 from mibvh.studies.record.sheet import Column, Sheet
 
-_SECTION = "The paper's claims"
+SECTION = "The paper's claims"
 
 
 def claim_sheets(records: Records, found: pd.DataFrame) -> list[Sheet]:
@@ -18,7 +18,7 @@ def claim_sheets(records: Records, found: pd.DataFrame) -> list[Sheet]:
     frame = claims(records, found)
     sheet = Sheet(
         name="claims",
-        section=_SECTION,
+        section=SECTION,
         title="The paper's claims, and whether they held",
         note="The paper's figures are those of its slides (22 scenes, GTX 680), where nothing "
         "else is said. What it takes for a claim to have held is our choice, and stands in "
@@ -36,7 +36,7 @@ def _scenes(compared: pd.DataFrame) -> Sheet:
     numbers = {str(c): float for c in compared if c not in ("scene", "triangles")}
     return Sheet(
         name="paper-scenes",
-        section=_SECTION,
+        section=SECTION,
         title="Scenes of the paper's own",
         note="r with scalar ns/ray, α fitted. Triangles expected are those of the file "
         "that is to be had (mibvh scenes paper); few of the paper's figures are known.",

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pandas as pd
 
-from mibvh.metrics.predictors import glossary, predictors
+from mibvh.metrics.predictors import Predictor, glossary, predictors
 from mibvh.metrics.registry import Quantity
 from mibvh.studies.analyse.calibration import absolute_errors
 from mibvh.studies.analyse.correlations import overview, shared_weights, worst_error
 from mibvh.studies.analyse.noise import simd_deviation
+from mibvh.studies.analyse.pooled import pooled
 from mibvh.studies.paper.published import published
 from mibvh.studies.record.quantities import targets
 from mibvh.studies.record.scene import Records
@@ -16,17 +17,23 @@ from mibvh.studies.record.sheet import Column, Sheet
 
 #: The section that the figure of all correlations stands in.
 SECTION = "How well cost is predicted"
-#: The measurement that the paper's figures are against.
-_PAPER_TARGET = "scalar_ns"
+#: The measurements that predictors are first held against.
+_FIRST = ("counted_cost", "scalar_ns")
+
+
+#: The predictors that a reader chooses from; all others are told on demand.
+NAMED = ("SAH", "fitted", "estimated", "finite rays", "finite by lines")
 
 
 def prediction_sheets(records: Records, found: pd.DataFrame) -> list[Sheet]:
     """Return the tables, those over all scenes first."""
     return [
-        *(_overview(records, found, target) for target in targets()),
-        _shared(records),
-        *(_per_scene(records, found, target) for target in targets()),
+        _overview(records, found),
+        *_pooled(records),
         _absolute(records),
+        _per_scene(records, found),
+        _others(found),
+        _shared(records),
         _simd(records),
     ]
 
@@ -39,64 +46,149 @@ def times_known(records: Records, target: Quantity) -> str:
     return f"Times of a scene's trees are known relative to each other to ±{error:.1%} or better."
 
 
-def _overview(records: Records, found: pd.DataFrame, target: Quantity) -> Sheet:
-    frame = overview(found).loc[target.name].reset_index()
-    columns = [
-        Column("predictor"),
-        Column("mean", format=".3f"),
-        Column("min", format=".3f"),
-        Column("max", format=".3f"),
-        Column(
-            "worst_error",
-            "worst error",
-            ".0%",
-            "largest misprediction of any tree by the least-squares line",
-        ),
-        Column("scenes"),
-    ]
-    if target.name == _PAPER_TARGET:
-        text = {name: f"{r.mean:.3f} ({r.low:.3f} to {r.high:.3f})"
-                for name, r in published().r.items()}  # fmt: skip
-        frame["paper"] = frame["predictor"].map(text).fillna("")
-        over = f"mean (minimum to maximum) over the {published().scenes} scenes of the slides"
-        columns.append(Column("paper", help=over))
+def _overview(records: Records, found: pd.DataFrame) -> Sheet:
+    """Every predictor against every measurement: the mean over the scenes, and the worst."""
+    summary = overview(found)
+    frame = pd.DataFrame({"predictor": [one.name for one in _shown(found)]})
+    columns = [Column("predictor")]
+    for target in targets():
+        of = summary.loc[target.name]
+        for key, heading in (("mean", "mean"), ("min", "worst")):
+            name = f"{target.name}_{key}"
+            frame[name] = frame["predictor"].map(of[key])
+            columns.append(Column(name, f"{target.heading}: {heading}", ".3f"))
+    frame["error"] = frame["predictor"].map(summary.loc["counted_cost"]["worst_error"])
+    error = "largest misprediction of any tree's counted cost by the least-squares line"
+    columns.append(Column("error", "worst error", ".0%", error))
+    text = {name: f"{r.mean:.3f} ({r.low:.3f})" for name, r in published().r.items()}
+    frame["paper"] = frame["predictor"].map(text).fillna("")
+    over = f"mean (worst) with scalar time over the {published().scenes} scenes of the slides"
+    columns.append(Column("paper", help=over))
+    times = [times_known(records, target) for target in targets() if target.error]
     return Sheet(
-        name=f"overview-{target.name}",
+        name="overview",
         section=SECTION,
-        title=f"r over the scenes: {target.heading}",
-        note=times_known(records, target),
+        title="r over the scenes",
+        note=f"Pearson's r over each scene's trees: the mean over the scenes, and the worst. "
+        f"{times[0] if times else ''}",
         frame=frame,
         columns=columns,
         glossary=glossary(),
+        unfolded=True,
     )
 
 
-def _per_scene(records: Records, found: pd.DataFrame, target: Quantity) -> Sheet:
-    of = found[found["measurement"] == target.name]
-    shown = [one for one in predictors() if one.name in set(of["predictor"])]
-    frame = of.pivot(index="scene", columns="predictor", values="pearson")
-    frame = frame.reindex(index=of["scene"].unique(), columns=[one.name for one in shown])
-    fitted = of[of["predictor"] == "fitted"].set_index("scene")
-    frame["held_out"] = fitted["held_out"]
-    frame["alpha"] = fitted["alpha"]
-    frame["estimate"] = of[of["predictor"] == "estimated"].set_index("scene")["alpha"]
+def _shown(found: pd.DataFrame) -> list[Predictor]:
+    """Return the predictors that are known, the named ones first."""
+    known = [one for one in predictors() if one.name in set(found["predictor"])]
+    return sorted(known, key=lambda one: one.name not in NAMED)
+
+
+def _pooled(records: Records) -> list[Sheet]:
+    named = [one for one in predictors() if one.name in NAMED]
+    sheets = []
+    for target in targets():
+        if target.name not in _FIRST:
+            continue
+        frame = pooled(records, target, named)
+        if frame.empty:
+            continue
+        sheets.append(
+            Sheet(
+                name=f"pooled-{target.name}",
+                section=SECTION,
+                title=f"All scenes at once, and what was not fitted to: {target.heading}",
+                note="Costs relative to their scene's mean. Other scenes: weights are the mean of "
+                "those fitted to all other scenes. Other builders: the trees of a family of "
+                "builders are predicted from weights and a line fitted to the scene's other trees.",
+                frame=frame,
+                columns=[
+                    Column("predictor"),
+                    Column("mean", "mean of r", ".3f"),
+                    Column("pooled", "pooled r", ".3f"),
+                    Column("spearman", "pooled rank r", ".3f", "Spearman's, over all trees"),
+                    Column("by_scene", "from other scenes", ".3f"),
+                    Column("by_family", "from other builders", ".3f"),
+                    Column("family_error", "mean error of these", ".1%"),
+                ],
+                glossary=glossary(),
+            )
+        )
+    return sheets
+
+
+def _by_scene(found: pd.DataFrame, names: list[str]) -> pd.DataFrame:
+    """Pearson's r of some predictors, a row per scene and measurement."""
+    headings = {target.name: target.heading for target in targets()}
+    of = found[found["predictor"].isin(names)]
+    frame = of.pivot(index=["measurement", "scene"], columns="predictor", values="pearson")
+    order = pd.MultiIndex.from_product([headings, found["scene"].unique()])
+    frame = frame.reindex(index=order, columns=names).rename_axis(columns=None)
+    frame = frame.rename_axis(["measurement", "scene"]).reset_index()
+    frame["measured"] = frame["measurement"].map(headings)
+    return frame
+
+
+def _per_scene(records: Records, found: pd.DataFrame) -> Sheet:
+    names = [one.name for one in _shown(found) if one.name in NAMED]
+    frame = _by_scene(found, names).set_index(["measurement", "scene"])
+    of = found.set_index(["predictor", "measurement", "scene"])
+    finite = of.loc["finite rays"] if "finite rays" in names else None
+    if finite is not None:
+        for key in ("trees_low", "trees_high", "spearman"):
+            frame[key] = finite[key]
+    for key, name, column in (
+        ("held_out", "fitted", "held_out"), ("alpha", "fitted", "alpha"),
+        ("estimate", "estimated", "alpha"),
+    ):  # fmt: skip
+        frame[key] = of.loc[name][column] if name in names else float("nan")
+    for target in targets():
+        for record in records:
+            at = (target.name, record.scene)
+            frame.loc[at, "known"] = worst_error([record], target.error) if target.error else 0.0
+    known = "largest standard error of a tree's time, relative to the scene's other trees"
+    interval = "95% interval over the trees (Fisher), of finite rays"
     columns = [
         Column("scene"),
-        *(Column(one.name, format=".3f", help=one.formula) for one in shown),
-        Column("held_out", "fitted, held out", ".3f"),
+        Column("measured"),
+        *(Column(name, format=".3f", help=glossary()[name]) for name in names),
+        *(
+            [
+                Column("trees_low", "finite rays: from", ".3f", interval),
+                Column("trees_high", "to", ".3f", interval),
+                Column("spearman", "rank r", ".3f", "Spearman's, of finite rays"),
+            ]
+            if finite is not None
+            else []
+        ),
+        Column("held_out", "fitted, held out", ".3f", "each tree from a fit to the others"),
         Column("alpha", "α fitted", ".2f"),
         Column("estimate", "α estimated", ".2f"),
+        Column("known", "known to", ".1%", known),
     ]
-    if target.error:
-        frame["known"] = [worst_error([record], target.error) for record in records]
-        known = "largest standard error of a tree's time, relative to the scene's other trees"
-        columns.append(Column("known", "times known to", ".1%", known))
     return Sheet(
-        name=f"r-{target.name}",
+        name="r",
         section=SECTION,
-        title=f"r per scene: {target.heading}",
-        frame=frame.rename_axis(columns=None).reset_index(),
+        title="r per scene, the named predictors",
+        note="An r over few trees is known to its interval only: over another nine trees it could "
+        "be anywhere in it.",
+        frame=frame.reset_index(),
         columns=columns,
+    )
+
+
+def _others(found: pd.DataFrame) -> Sheet:
+    names = [one.name for one in _shown(found) if one.name not in NAMED]
+    return Sheet(
+        name="r-others",
+        section=SECTION,
+        title="r per scene, the other predictors",
+        frame=_by_scene(found, names),
+        columns=[
+            Column("scene"),
+            Column("measured"),
+            *(Column(name, format=".3f", help=glossary()[name]) for name in names),
+        ],
     )
 
 

@@ -8,7 +8,6 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from mibvh.plot.marks import STYLE, builder_colour
 
-DOCS = Path(__file__).parents[1] / "docs"
 MEASURED = "counted cost"
 PREDICTED = ("SAH", "SAH + EPO, average α", "ray lines, average α")
 TICKS = (0.7, 1, 2, 4, 8, 14)
@@ -21,9 +20,15 @@ def table(text: str) -> list[dict[str, str]]:
     return [dict(zip(rows[0], row, strict=True)) for row in rows[2:]]
 
 
-def main() -> None:
-    """Read, draw and save."""
-    rows = table((DOCS / "results/rotation.md").read_text())
+def draw(docs: Path) -> None:
+    """Read the table, draw and save the figure.
+
+    Parameters
+    ----------
+    docs : Path
+        The folder ``docs`` of a checkout.
+    """
+    rows = table((docs / "results/rotation.md").read_text())
     rows = [row for row in rows if row["scene"] not in ("mean of the scenes", "paper")]
     y = [float(row[MEASURED]) for row in rows]
     with mpl.rc_context({**STYLE, "svg.hashsalt": "mibvh"}):
@@ -37,8 +42,4 @@ def main() -> None:
                 one.set_minor_locator(NullLocator())
                 one.set_major_formatter("{x:g}")
         axes[0].set_ylabel("factor of counted cost")
-        figure.savefig(DOCS / "images/results-rotation.svg", metadata={"Date": None})
-
-
-if __name__ == "__main__":
-    main()
+        figure.savefig(docs / "images/results-rotation.svg", metadata={"Date": None})

@@ -1,0 +1,125 @@
+"""Predictors over all scenes at once, and on scenes and builders that they were not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+from scipy import stats
+
+from mibvh.metrics.predictor import pearson
+from mibvh.metrics.predictors import Predictor, Sample, Weights
+from mibvh.metrics.registry import Quantity
+from mibvh.studies.record.scene import Records, samples
+from mibvh.triangles import F64
+
+#: Builders that make alike trees: one of them says much of the others.
+FAMILIES = (
+    ("bbvh", "sbvh", "binned", "plain"),
+    ("agglo", "ploc"),
+    ("lbvh",),
+    ("hill", "anneal"),
+    ("bittner", "bittner_sbvh", "bittner_streelet", "reinsertion"),
+    ("treelet", "streelet", "treelet_sbvh"),
+)
+_NONE = float("nan")
+
+
+def family(builder: str) -> str:
+    """Return the first name of a builder's family; its own where it is of none."""
+    name = builder.partition("(")[0]
+    return next((members[0] for members in FAMILIES if name in members), name)
+
+
+def pooled(records: Records, target: Quantity, shown: Sequence[Predictor]) -> pd.DataFrame:
+    """How well predictors explain a measurement over the trees of all scenes.
+
+    Costs are relative to their scene's mean, predicted and measured alike: scenes of another level
+    do not make an r.
+
+    Returns
+    -------
+    DataFrame
+        Per predictor ``predictor``; ``mean``: the mean of the scenes' r; ``pooled`` and
+        ``spearman``: r and rank correlation over all trees of all scenes; ``by_scene``: the pooled
+        r where each scene has the mean of the weights fitted to the others; ``by_family``: where
+        the trees of a family of builders are predicted from weights and a line fitted to the
+        scene's other trees; ``family_error``: the mean error of these.
+    """
+    records = [record for record in records if record.knows(target.name)]
+    known = samples(records, target.name)
+    families = [np.array([family(tree.builder) for tree in r.trees]) for r in records]
+    rows = [_row(one, known, families) for one in shown if all(one.knows(s.values) for s in known)]
+    return pd.DataFrame(rows)
+
+
+def _row(
+    one: Predictor, known: list[Sample], families: Sequence[npt.NDArray[np.str_]]
+) -> dict[str, float | str]:
+    own = [one(known, i)[1] for i in range(len(known))]
+    others = [one.predict(s.values, _of_others(one, known, i)) for i, s in enumerate(known)]
+    measured = np.concatenate([_relative(s.measured) for s in known] or [np.zeros(0)])
+    together = np.concatenate([_relative(values) for values in own] or [np.zeros(0)])
+    left = [_other_families(one, known, i, families[i]) for i in range(len(known))]
+    predicted = np.concatenate(left or [np.zeros(0)])
+    sound = np.isfinite(predicted)
+    error = np.abs(predicted[sound] / measured[sound] - 1)
+    return {
+        "predictor": one.name,
+        "mean": _mean([pearson(v, s.measured) for v, s in zip(own, known, strict=True)]),
+        "pooled": pearson(together, measured),
+        "spearman": _spearman(together, measured),
+        "by_scene": pearson(
+            np.concatenate([_relative(values) for values in others] or [np.zeros(0)]), measured
+        ),
+        "by_family": pearson(predicted[sound], measured[sound]),
+        "family_error": float(error.mean()) if sound.any() else _NONE,
+    }
+
+
+def _relative(values: F64) -> F64:
+    return np.asarray(values / values.mean())
+
+
+def _mean(values: Sequence[float]) -> float:
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.mean(known)) if known else _NONE
+
+
+def _spearman(x: F64, y: F64) -> float:
+    if len(x) < 3 or not np.isfinite([x, y]).all() or np.ptp(x) == 0 or np.ptp(y) == 0:
+        return _NONE
+    return float(stats.spearmanr(x, y).statistic)
+
+
+def _of_others(one: Predictor, known: list[Sample], this: int) -> Weights:
+    """Mean of the weights that are fitted to the other scenes; those of the scene for no fit."""
+    if one.free == "0":
+        return one.fit(known, this)
+    fitted = pd.DataFrame([dict(one.fit(known, i)) for i in range(len(known)) if i != this])
+    return {str(name): float(value) for name, value in fitted.mean().items()} or dict.fromkeys(
+        one.fit(known, this), _NONE
+    )
+
+
+def _other_families(
+    one: Predictor, known: list[Sample], this: int, families: npt.NDArray[np.str_]
+) -> F64:
+    """Relative cost of each tree, predicted from the scene's trees of other families."""
+    sample, found = known[this], np.full(len(families), np.nan)
+    for kept in _others(families):
+        part = Sample({name: v[kept] for name, v in sample.values.items()}, sample.measured[kept])
+        weights = one.fit([*known[:this], part, *known[this + 1 :]], this)
+        values = one.predict(sample.values, weights)
+        if np.isfinite(values).all() and np.ptp(values[kept]) > 0 and kept.sum() > 2:
+            slope, base = np.polyfit(values[kept], sample.measured[kept], 1)
+            found[~kept] = (base + slope * values[~kept]) / sample.measured.mean()
+    return found
+
+
+def _others(families: npt.NDArray[np.str_]) -> Iterator[npt.NDArray[np.bool_]]:
+    """Yield the trees that are not of a family, for each family."""
+    for name in dict.fromkeys(families.tolist()):
+        yield families != name

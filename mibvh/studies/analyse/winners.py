@@ -1,0 +1,114 @@
+"""Which tree of a scene is the best, by how much, and whether that can be believed."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from mibvh.studies.analyse.correlations import LaneMode
+from mibvh.studies.record.scene import Records, SceneRecord
+
+_NONE = float("nan")
+#: Standard errors beyond which a lead counts.
+_SURE = 2.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Winner:
+    """The best tree of a scene by one measurement.
+
+    Attributes
+    ----------
+    scene, builder : str
+    second : str
+        The builder of the next one; empty if there is none.
+    lead : float
+        By what share the second costs more.
+    error : float
+        Standard error of the lead: of counted cost over the rays, of times by the stopwatch.
+    """
+
+    scene: str
+    builder: str
+    second: str = ""
+    lead: float = _NONE
+    error: float = _NONE
+
+    @property
+    def sure(self) -> bool:
+        """Whether the lead is beyond twice its error; a lead of unknown error is not."""
+        return bool(self.lead > _SURE * self.error)
+
+    def __str__(self) -> str:
+        if not self.second:
+            return self.builder
+        lead = f"{self.lead:.1%}"
+        if np.isfinite(self.error):
+            lead += f" ± {self.error:.1%}" if self.error >= 5e-4 else " ± under 0.1%"
+        if self.sure:
+            return f"{self.builder}, {lead} ahead of {self.second}"
+        return f"{self.builder} or {self.second} ({lead} apart)"
+
+
+def winner(record: SceneRecord) -> Winner:
+    """Return the tree of least counted cost.
+
+    The error is that of the ratio of the two costs over the random groups of rays that a study
+    keeps: the trees trace the same rays, so what the rays have in common cancels.
+    """
+    first, second = _two_least(record, "counted_cost")
+    if second is None:
+        return Winner(record.scene, record.trees[first].builder)
+    a, b = (np.array(record.trees[i].cost_groups, np.float64) for i in (first, second))
+    error = _NONE
+    if len(a) > 1 and (a > 0).all():
+        error = float((b / a).std(ddof=1) / np.sqrt(len(a)))
+    return _winner(record, "counted_cost", first, second, error)
+
+
+def winner_in_time(record: SceneRecord, lanes: LaneMode) -> Winner | None:
+    """Return the tree of least time; None where times are not known."""
+    if not record.knows(lanes.ns):
+        return None
+    first, second = _two_least(record, lanes.ns)
+    if second is None:
+        return Winner(record.scene, record.trees[first].builder)
+    a, b = (record.trees[i][lanes.error] for i in (first, second))
+    ratio = record.trees[second][lanes.ns] / record.trees[first][lanes.ns]
+    return _winner(record, lanes.ns, first, second, float(ratio * np.hypot(a, b)))
+
+
+def _two_least(record: SceneRecord, name: str) -> tuple[int, int | None]:
+    order = np.argsort(record.column(name), kind="stable")
+    return int(order[0]), int(order[1]) if len(order) > 1 else None
+
+
+def _winner(record: SceneRecord, name: str, first: int, second: int, error: float) -> Winner:
+    costs = record.column(name)
+    lead = float(costs[second] / costs[first] - 1) if costs[first] > 0 else _NONE
+    builders = [tree.builder for tree in record.trees]
+    return Winner(record.scene, builders[first], builders[second], lead, error)
+
+
+def wins(records: Records) -> dict[str, int]:
+    """How many scenes each builder wins by counted cost, most first; only leads that are sure."""
+    found = [winner(record) for record in records]
+    sure = [one.builder for one in found if one.sure or not one.second]
+    names = sorted(set(sure), key=lambda name: (-sure.count(name), name))
+    return {name: sure.count(name) for name in names}
+
+
+def mean_cost_over_best(records: Records) -> dict[str, float]:
+    """Counted cost of each builder's tree over the scene's best, mean over the scenes.
+
+    Only builders that have a tree of every scene.
+    """
+    rows = [{tree.builder: tree["counted_cost"] for tree in record.trees} for record in records]
+    common = [name for name in rows[0] if all(name in row for row in rows)]
+    share = {
+        name: float(np.mean([row[name] / min(row.values()) for row in rows]))
+        for name in common
+        if all(min(row.values()) > 0 for row in rows)
+    }
+    return dict(sorted(share.items(), key=lambda item: item[1]))

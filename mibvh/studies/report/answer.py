@@ -1,0 +1,73 @@
+"""What a study found, in a few lines: for the head of the report, and for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+
+from mibvh.metrics.predictors import predictors
+from mibvh.studies.analyse.correlations import SCALAR, overview
+from mibvh.studies.analyse.winners import mean_cost_over_best, winner, wins
+from mibvh.studies.record.scene import Records
+from mibvh.studies.report.tables.prediction import NAMED
+
+#: Scenes that are told one by one; of more there is a sum.
+_FEW = 4
+
+
+def answer(records: Records, found: pd.DataFrame) -> list[str]:
+    """Return the findings in ten lines at most.
+
+    Parameters
+    ----------
+    records : sequence of SceneRecord
+    found : DataFrame
+        From :func:`mibvh.studies.analyse.correlations.correlations`.
+    """
+    return [*_best(records), *_predicted(found), *_why(found)]
+
+
+def _best(records: Records) -> Iterator[str]:
+    """Which tree is the best, by how much, and whether that is sure."""
+    if len(records) <= _FEW:
+        for record in records:
+            yield f"{record.scene}: {winner(record)} (counted cost)"
+        return
+    found = wins(records)
+    told = ", ".join(f"{name} in {count}" for name, count in found.items())
+    open_ = len(records) - sum(found.values())
+    tied = f"; in {open_} the first two are within their errors" if open_ else ""
+    yield f"Best by counted cost, of {len(records)} scenes: {told or 'none for sure'}{tied}"
+    over = list(mean_cost_over_best(records).items())[:3]
+    if over:
+        told = ", ".join(f"{name} +{share - 1:.1%}" for name, share in over)
+        yield f"Over the scene's best on average: {told}"
+
+
+def _predicted(found: pd.DataFrame) -> Iterator[str]:
+    """How well each named predictor did."""
+    table = overview(found)
+    for one in predictors():
+        if one.name not in NAMED or one.name not in set(found["predictor"]):
+            continue
+        of = [table.loc[(measured, one.name)] for measured in ("counted_cost", SCALAR.ns)]
+        counted, timed = (f"{row['mean']:.3f} (worst {row['min']:.3f})" for row in of)
+        if np.isfinite(of[0]["mean"]):
+            with_time = f", scalar time {timed}" if np.isfinite(of[1]["mean"]) else ""
+            yield f"{one.name}: r with counted cost {counted}{with_time}"
+
+
+def _why(found: pd.DataFrame) -> Iterator[str]:
+    """What the fitted weights say of where the cost comes from."""
+    of = found[(found["predictor"] == "fitted") & (found["measurement"] == "counted_cost")]
+    alpha = of["alpha"].dropna()
+    if len(alpha):
+        range_ = (
+            f"{alpha.min():.2f} to {alpha.max():.2f}" if len(alpha) > 1 else f"{alpha.min():.2f}"
+        )
+        yield (
+            "Why: SAH knows rays that pass through, EPO what they meet where they end; the share α "
+            f"of EPO that fits best is {range_}"
+        )
