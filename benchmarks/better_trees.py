@@ -1,12 +1,14 @@
 """What trees for traced rays gain in counted cost, and what each part of them is worth.
 
     python benchmarks/better_trees.py SCENE... [--table gains|ablations|unseen|vain|later]
-                                      [--trees DIR] [--size 160x120] [-o TABLE.md]
+                                      [--trees DIR] [--size 160x120] [--kept DIR] [-o TABLE.md]
 
 SCENE is whatever `mibvh build` takes. Trees are measured on rays that no builder saw: of another
 seed, and, for `unseen`, of other cameras. Cost is counted, 1.2 for each inner node and 1.0 for each
 triangle test of the paper's kernel, and given relative to the best of the paper's nine builders.
-With --trees DIR, those nine are read from DIR/SCENE/BUILDER.npz where they are there.
+With --trees DIR, those nine are read from DIR/SCENE/BUILDER.npz where they are there. With
+--kept DIR, each scene's row is written to DIR/TABLE-SCENE.json, and not measured again if it is
+there and the version, SCENE and --size are the same.
 
 - gains: the best combination that knows no rays (`bittner` from `sbvh`), and `finite`; with and
   without re-testing popped nodes; references per triangle.
@@ -20,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -217,6 +220,25 @@ def lay_out(rows: dict[str, Row]) -> Iterable[str]:
     yield f"| geometric mean | {' | '.join(means)} |"
 
 
+def measured(source: str, arguments: argparse.Namespace) -> tuple[str, Row]:
+    """Return a scene's name and row: the kept one if it is of this source, these options."""
+    width, height = (int(n) for n in arguments.size.split("x"))
+    key = {"version": mibvh.__version__, "source": source, "size": arguments.size}
+    stem = Path(source).parent.name if Path(source).suffix else source
+    kept = arguments.kept and arguments.kept / f"{arguments.table}-{stem}.json"
+    if kept and kept.exists():
+        found = json.loads(kept.read_text(encoding="utf-8"))
+        if found["key"] == key:
+            return found["name"], found["row"]
+    bench = prepare(source, arguments.trees, width, height)
+    row = TABLES[arguments.table](bench)
+    if kept:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        text = json.dumps({"key": key, "name": bench.name, "row": row}, indent=1)
+        kept.write_text(text, encoding="utf-8")
+    return bench.name, row
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -224,16 +246,15 @@ def main() -> None:
     parser.add_argument("--table", choices=TABLES, default="gains")
     parser.add_argument("--trees", type=Path, help="folder of trees: DIR/SCENE/BUILDER.npz")
     parser.add_argument("--size", default="160x120", help="of the measured views, in pixels")
+    parser.add_argument("--kept", type=Path, help="folder of rows that are measured once")
     parser.add_argument("-o", "--output", type=Path)
     arguments = parser.parse_args()
-    width, height = (int(n) for n in arguments.size.split("x"))
     rows: dict[str, Row] = {}
     for source in arguments.scenes:
-        bench = prepare(source, arguments.trees, width, height)
-        row = TABLES[arguments.table](bench)
+        name, row = measured(source, arguments)
         if row:
-            rows[bench.name] = row
-            print(f"{bench.name}: {row}", flush=True)
+            rows[name] = row
+            print(f"{name}: {row}", flush=True)
     text = "\n".join(lay_out(rows)) + "\n"
     print(text)
     if arguments.output:

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mibvh.errors import MibvhError
-from mibvh.mitsuba.accelerator import Accelerator
+from mibvh.mitsuba.accelerator import Accelerator, check_style
 from mibvh.mitsuba.parameters import plain_variant, read_builder, refuse_unknown
 from mibvh.variant import mitsuba
 
@@ -30,6 +30,10 @@ class BvhPath(mi.SamplingIntegrator):
      * - hide_emitters
        - |bool|
        - Hide directly visible emitters. (Default: false)
+     * - style
+       - |string|
+       - ``wide``: the tree is collapsed to nodes of eight children, as renderers have them.
+         ``single``: it is walked as it is. (Default: ``wide``)
      * - max_leaf, c_inner, ...
        - |int| or |float|
        - Any option of the builder.
@@ -67,6 +71,8 @@ class BvhPath(mi.SamplingIntegrator):
         self.rr_depth = int(props.get("rr_depth", 5))
         if self.rr_depth < 1:
             raise MibvhError(f"rr_depth must be at least 1, not {self.rr_depth}")
+        self.style = str(props.get("style", "wide"))
+        check_style(self.style)
         self.builder = read_builder(props, "builder", "sbvh")
         refuse_unknown(props, "bvh_path")
 
@@ -80,7 +86,11 @@ class BvhPath(mi.SamplingIntegrator):
                 )
                 break
         return Accelerator(
-            scene, self.builder.name, progress=progress, **dict(self.builder.options)
+            scene,
+            self.builder.name,
+            style=self.style,
+            progress=progress,
+            **dict(self.builder.options),
         )
 
     @dr.syntax
@@ -174,8 +184,8 @@ class BvhPath(mi.SamplingIntegrator):
         """Describe the integrator, as Mitsuba's own do."""
         return (
             f"BvhPath[\n  builder = {self.builder.name},\n  options = "
-            f"{dict(self.builder.options)},\n  max_depth = {self.max_depth},\n"
-            f"  rr_depth = {self.rr_depth}\n]"
+            f"{dict(self.builder.options)},\n  style = {self.style},\n"
+            f"  max_depth = {self.max_depth},\n  rr_depth = {self.rr_depth}\n]"
         )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 from conftest import closed_box
+from cuts import CUTS
 
 import mibvh
 import mibvh.mitsuba
@@ -20,6 +21,7 @@ from mibvh.cli import main
 from mibvh.mitsuba.accelerator import Accelerator
 from mibvh.mitsuba.costs import QUANTITIES, CostProbe, leaf_depths
 from mibvh.mitsuba.coverage import Coverage
+from mibvh.scene import mitsuba_geometry
 from mibvh.variant import mitsuba
 
 mi = mitsuba()
@@ -121,6 +123,42 @@ SCENES = {
 @pytest.mark.parametrize("name", SCENES)
 def test_the_image_is_that_of_path(name):
     assert_same_image(SCENES[name]())
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_both_styles_render_the_same_image(name):
+    scene = SCENES[name]()
+    wide, single = (render(scene, "bvh_path", style=style) for style in ("wide", "single"))
+    assert np.abs(wide - single).max() <= 1e-5 * single.max()
+
+
+@pytest.mark.parametrize("builder", ["sbvh", "streelet", "lbvh"])
+def test_both_styles_find_the_same_hits(builder):
+    rng = np.random.default_rng(7)
+    n = 999  # no multiple of any packet's width
+    triangles = mibvh.Triangles(CUTS["pipes"]())
+    scene = mitsuba_geometry(triangles)
+    low, high = triangles.bounds
+    o = low + (high - low) * rng.random((n, 3))
+    d = rng.choice(triangles.corners.mean(axis=1), n) - o
+    ray = mi.Ray3f(mi.Point3f(o.T), mi.Vector3f((d / np.linalg.norm(d, axis=1)[:, None]).T))
+    ray.maxt = mi.Float(np.where(rng.random(n) < 0.5, 1e30, 0.05 * triangles.diagonal))
+    active = mi.Bool(rng.random(n) < 0.8)
+    found = [Accelerator(scene, builder, style=style) for style in ("wide", "single")]
+    wide, single = (tree.intersect(ray, active) for tree in found)
+    assert 0.2 < np.array(single.is_valid()).mean() < 0.79
+    assert np.array_equal(np.array(wide.is_valid()), np.array(single.is_valid()))
+    assert np.array_equal(np.array(wide.t), np.array(single.t))
+    blocked = [np.array(tree.occluded(ray, active)) for tree in found]
+    assert np.array_equal(*blocked)
+    assert np.array_equal(blocked[0], np.array(single.is_valid()))
+
+
+def test_an_unknown_style_is_refused():
+    with pytest.raises(RuntimeError, match="style must be one of wide, single, not 'while-while'"):
+        mi.load_dict({"type": "bvh_path", "style": "while-while"})
+    with pytest.raises(mibvh.MibvhError, match="style must be one of"):
+        Accelerator(cornell_box(), style="narrow")
 
 
 def test_parameters_mean_what_they_do_in_path():

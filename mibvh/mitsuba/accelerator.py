@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -13,11 +13,14 @@ from mibvh.rays.origins import clear_origin, corners_of, onto_plane
 from mibvh.scene import mesh_corners, shape_key, shape_kind
 from mibvh.traversal.kernel import walk
 from mibvh.traversal.records import own_memory
+from mibvh.traversal.wide import walk_wide_lanes
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles
 from mibvh.variant import mitsuba
 
 _NONE = 0xFFFFFFFF
+
+Style = Literal["wide", "single"]
 
 
 class Accelerator:
@@ -32,6 +35,8 @@ class Accelerator:
     scene : mitsuba.Scene
     builder : str
         A name from ``mibvh builders``.
+    style : "wide" or "single"
+        Walk the tree collapsed to nodes of eight children, or as it is. The hits are the same.
     progress : callable, optional
         Called as ``progress(stage, done)`` while the tree is built.
     **options
@@ -49,10 +54,17 @@ class Accelerator:
     """
 
     def __init__(
-        self, scene: Any, builder: str = "sbvh", *, progress: Any = None, **options: Any
+        self,
+        scene: Any,
+        builder: str = "sbvh",
+        *,
+        style: Style = "wide",
+        progress: Any = None,
+        **options: Any,
     ) -> None:
         import drjit as dr
 
+        check_style(style)
         mi = mitsuba()
         shapes = sorted(scene.shapes(), key=shape_key)
         shapes = [s for s in shapes if not (s.is_mesh() and s.face_count() == 0)]
@@ -64,7 +76,7 @@ class Accelerator:
         self.triangles = Triangles(np.concatenate(parts), "scene")
         self.tree: Tree
         self.tree, self._records = Builder(builder, tuple(sorted(options.items()))).build(
-            self.triangles, progress
+            self.triangles, progress, "wide" if style == "wide" else "binary"
         )
         self._corners = own_memory(self.triangles.corners)
         # -- from triangle ids to Mitsuba's shapes and primitives
@@ -188,16 +200,11 @@ class Accelerator:
 
     def _walk(self, o: Any, d: Any, tmax: Any, active: Any, any_hit: bool) -> tuple[Any, Any]:
         scale = self._records.scale
-        t, triangle, *_ = walk(
-            self._records,
-            o * scale,
-            d,
-            tmax * scale,
-            active,
-            cull=True,
-            count=False,
-            any_hit=any_hit,
-        )
+        rays = o * scale, d, tmax * scale, active
+        if self._records.layout == "binary":
+            t, triangle, *_ = walk(self._records, *rays, cull=True, count=False, any_hit=any_hit)
+        else:
+            t, triangle = walk_wide_lanes(self._records, *rays, any_hit=any_hit)
         return t / scale, triangle
 
     @staticmethod
@@ -225,6 +232,17 @@ class Accelerator:
         p, q = dr.cross(d, e2), dr.cross(s, e1)
         inverse = dr.rcp(dr.dot(e1, p))
         return dr.select(valid, mi.Point2f(dr.dot(s, p), dr.dot(d, q)) * inverse, 0)
+
+
+def check_style(style: str) -> None:
+    """Refuse styles that an accelerator does not have.
+
+    Raises
+    ------
+    MibvhError
+    """
+    if style not in get_args(Style):
+        raise MibvhError(f"style must be one of {', '.join(get_args(Style))}, not {style!r}")
 
 
 def holds(shape: Any) -> bool:

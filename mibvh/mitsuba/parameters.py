@@ -9,10 +9,13 @@ from typing import Any
 from mibvh.builders import build
 from mibvh.builders.registry import get
 from mibvh.errors import MibvhError
-from mibvh.traversal.records import Records, make_records
+from mibvh.traversal.child_order import child_priority
+from mibvh.traversal.records import Layout, Records, make_records
+from mibvh.traversal.wide_rows import as_wide
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles
 from mibvh.variant import mitsuba
+from mibvh.wide_tree import WideTree
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,20 +31,32 @@ class Builder:
     name: str
     options: tuple[tuple[str, Any], ...] = ()
 
-    def build(self, triangles: Triangles, progress: Any = None) -> tuple[Tree, Records]:
-        """Build the tree and its records, or return cached ones."""
-        # Records are in the memory of the variant's backend.
-        key = (mitsuba().variant(), triangles.digest, self)
+    def build(
+        self, triangles: Triangles, progress: Any = None, layout: Layout = "binary"
+    ) -> tuple[Tree, Records]:
+        """Build the tree and its records in a layout, or return cached ones.
+
+        In the wide layout, children have an order for rays that any hit ends.
+        """
+        key = (triangles.digest, self)
         if key not in _trees:
             while len(_trees) >= _KEPT:
                 del _trees[next(iter(_trees))]
-            tree = build(triangles, self.name, progress=progress, **dict(self.options))
-            _trees[key] = tree, make_records(tree, triangles)
-        return _trees[key]
+            _trees[key] = build(triangles, self.name, progress=progress, **dict(self.options)), {}
+        tree, records = _trees[key]
+        # Records are in the memory of the variant's backend.
+        kind = (mitsuba().variant(), layout)
+        if kind not in records:
+            chosen: Tree | WideTree = tree
+            if layout == "wide":
+                wide = as_wide(tree, triangles)
+                chosen = wide.ordered(child_priority(wide, triangles, "worth"))
+            records[kind] = make_records(chosen, triangles, layout)
+        return tree, records[kind]
 
 
 #: Cached trees of the last renders: frames of an animation and passes of a render share them.
-_trees: dict[tuple[str, str, Builder], tuple[Tree, Records]] = {}
+_trees: dict[tuple[str, Builder], tuple[Tree, dict[tuple[str, Layout], Records]]] = {}
 _KEPT = 4
 
 

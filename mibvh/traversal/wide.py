@@ -74,7 +74,6 @@ def walk_wide(
     """
     mi = mitsuba()
     n = dr.width(first)
-    span = 1 if records.wide.quantised else SPAN[records.wide.width]
     # Groups left for later, and which of their children are still to be visited.
     stack_group = dr.alloc_local(mi.UInt32, MAX_DEPTH)
     stack_todo = dr.alloc_local(mi.UInt32, MAX_DEPTH)
@@ -121,47 +120,164 @@ def walk_wide(
         steps = mi.UInt32(0)
         while (todo != 0) & (steps < burst):
             steps += 1
-            child = todo & (ENTRY - 1)
-            rest = todo >> 4
-            inners = group >> BASE_BITS
-            at = (group & ((1 << BASE_BITS) - 1)) + child
-            if dr.hint(span > 1, mode="scalar"):
-                at += (span - 1) * smaller(child, inners)
-            row = dr.gather(mi.ArrayXf, records.rows, at, shape=(ROW, n))
-            if child < inners:
+            group, todo, top, t, triangle, counts = step(
+                records,
+                (o, d, inv),
+                t,
+                triangle,
+                group,
+                todo,
+                (stack_group, stack_todo),
+                top,
+                (inner, boxes, leaves, tests),
+                any_hit=any_hit,
+                count=count,
+            )
+            inner, boxes, leaves, tests = counts
+
+
+@dr.syntax
+def step(
+    records: Records,
+    ray: tuple[Any, Any, Any],
+    t: Any,
+    triangle: Any,
+    group: Any,
+    todo: Any,
+    stacks: tuple[Any, Any],
+    top: Any,
+    counts: tuple[Any, ...],
+    *,
+    any_hit: bool,
+    count: bool,
+) -> Any:
+    """Visit the first of the children that are still to be visited: a node, or one triangle.
+
+    Parameters
+    ----------
+    records : Records
+    ray : (Point3f, Vector3f, Vector3f)
+        Origin, direction and its inverse.
+    t, triangle : Float, UInt32
+        The current hit.
+    group, todo : UInt32
+        The children at hand, and which of them are still to be visited.
+    stacks : two local arrays of UInt32
+        Groups left for later, and which of their children are still to be visited.
+    top : UInt32
+        Entries of the stacks.
+    counts : tuple of four UInt32
+        Inner nodes visited, child boxes tested, leaves visited, triangles tested; as they are
+        unless counted.
+    any_hit, count : bool
+
+    Returns
+    -------
+    group, todo, top, t, triangle, counts
+    """
+    mi = mitsuba()
+    o, d, inv = ray
+    stack_group, stack_todo = stacks
+    inner, boxes, leaves, tests = counts
+    span = 1 if records.wide.quantised else SPAN[records.wide.width]
+    child = todo & (ENTRY - 1)
+    rest = todo >> 4
+    inners = group >> BASE_BITS
+    at = (group & ((1 << BASE_BITS) - 1)) + child
+    if dr.hint(span > 1, mode="scalar"):
+        at += (span - 1) * smaller(child, inners)
+    row = dr.gather(mi.ArrayXf, records.rows, at, shape=(ROW, dr.width(at)))
+    if child < inners:
+        if rest != 0:
+            stack_group[top] = group
+            stack_todo[top] = rest
+            top += 1
+        group, todo, tested = _visit(records, at, row, o, inv, t, any_hit, count)
+        if dr.hint(count, mode="scalar"):
+            inner += 1
+            boxes += tested
+    else:
+        hit, distance = triangle_hit(row, o, d, t)
+        t = dr.select(hit, distance, t)
+        triangle = dr.select(hit, dr.reinterpret_array(mi.UInt32, row[12]), triangle)
+        todo = mi.UInt32(rest)
+        if dr.hint(count, mode="scalar"):
+            tests += 1
+            following = dr.reinterpret_array(mi.UInt32, row[13])
+            leaves += dr.select((following == 0) | (hit & any_hit), 1, 0)
+        if dr.hint(not records.single, mode="scalar"):
+            more = dr.reinterpret_array(mi.UInt32, row[13])
+            if more != 0:
                 if rest != 0:
                     stack_group[top] = group
                     stack_todo[top] = rest
                     top += 1
-                group, todo, tested = _visit(records, at, row, o, inv, t, any_hit, count)
-                if dr.hint(count, mode="scalar"):
-                    inner += 1
-                    boxes += tested
-            else:
-                hit, distance = triangle_hit(row, o, d, t)
-                t = dr.select(hit, distance, t)
-                triangle = dr.select(hit, dr.reinterpret_array(mi.UInt32, row[12]), triangle)
-                todo = mi.UInt32(rest)
-                if dr.hint(count, mode="scalar"):
-                    tests += 1
-                    following = dr.reinterpret_array(mi.UInt32, row[13])
-                    leaves += dr.select((following == 0) | (hit & any_hit), 1, 0)
-                if dr.hint(not records.single, mode="scalar"):
-                    more = dr.reinterpret_array(mi.UInt32, row[13])
-                    if more != 0:
-                        if rest != 0:
-                            stack_group[top] = group
-                            stack_todo[top] = rest
-                            top += 1
-                        group = mi.UInt32(more)
-                        todo = mi.UInt32(ENTRY)
-                if dr.hint(any_hit, mode="scalar"):
-                    top = dr.select(hit, 0, top)
-                    todo = dr.select(hit, 0, todo)
-            if (todo == 0) & (top > 0):
-                top -= 1
-                group = stack_group[top]
-                todo = stack_todo[top]
+                group = mi.UInt32(more)
+                todo = mi.UInt32(ENTRY)
+        if dr.hint(any_hit, mode="scalar"):
+            top = dr.select(hit, 0, top)
+            todo = dr.select(hit, 0, todo)
+    if (todo == 0) & (top > 0):
+        top -= 1
+        group = stack_group[top]
+        todo = stack_todo[top]
+    return group, todo, top, t, triangle, (inner, boxes, leaves, tests)
+
+
+@dr.syntax
+def walk_wide_lanes(
+    records: Records, o: Any, d: Any, tmax: Any, active: Any, *, any_hit: bool
+) -> Any:
+    """Trace one ray per lane through a wide tree; may be called inside symbolic loops.
+
+    Parameters
+    ----------
+    records : Records
+        In the wide layout.
+    o : Point3f
+        Origins in the records' units.
+    d : Vector3f
+    tmax : Float
+        In the records' units.
+    active : Bool
+        Lanes that carry a ray.
+    any_hit : bool
+        End at the first hit found.
+
+    Returns
+    -------
+    t : Float
+        Distance of the hit; infinite for a miss.
+    triangle : UInt32
+        2**32 - 1 for a miss.
+    """
+    mi = mitsuba()
+    n = dr.width(o)
+    inv = inverse(d)
+    stack_group = dr.alloc_local(mi.UInt32, MAX_DEPTH)
+    stack_todo = dr.alloc_local(mi.UInt32, MAX_DEPTH)
+    top = dr.full(mi.UInt32, 0, n)
+    t = mi.Float(tmax)
+    triangle = dr.full(mi.UInt32, 0xFFFFFFFF, n)
+    group = dr.full(mi.UInt32, records.root << BASE_BITS, n)
+    # A ray that can hit nothing has a negative tmax, and takes no steps.
+    todo = dr.select(active & (tmax >= 0), mi.UInt32(ENTRY), mi.UInt32(0))
+    uncounted = (mi.UInt32(0),) * 4
+    while todo != 0:
+        group, todo, top, t, triangle, _ = step(
+            records,
+            (o, d, inv),
+            t,
+            triangle,
+            group,
+            todo,
+            (stack_group, stack_todo),
+            top,
+            uncounted,
+            any_hit=any_hit,
+            count=False,
+        )
+    return dr.select(triangle == 0xFFFFFFFF, dr.inf, t), triangle
 
 
 def _visit(
