@@ -41,15 +41,16 @@ def places_of(records: Records) -> dict[str, int]:
     return {name: i for i, name in enumerate(names)}
 
 
-def _pair(
+def row_of_panels(
     height: float = _HEIGHT, strip: float = 0.0, panels: int = 2
 ) -> tuple[Drawing, list[Part]]:
-    """A row of panels above a strip that only files have."""
+    """Return a drawing and its panels, in a row above a strip that only files have."""
     sheet = Drawing(_WIDTH * panels, height + strip)
     return sheet, [Part(i * _WIDTH, 0.0, _WIDTH, height) for i in range(panels)]
 
 
-def _limits(values: F64, margin: float = 0.06) -> tuple[float, float]:
+def limits_of(values: F64, margin: float = 0.06) -> tuple[float, float]:
+    """Return limits of an axis that shows values, with room on both sides."""
     known = np.asarray(values, np.float64)
     known = known[np.isfinite(known)]
     if not len(known):
@@ -174,7 +175,7 @@ def _multiple(
 ) -> None:  # fmt: skip
     sah, main, r_sah, r_main = found
     measured = record.column("counted_cost")
-    limits = _limits(np.concatenate([sah, main, measured]), 0.08)
+    limits = limits_of(np.concatenate([sah, main, measured]), 0.08)
     panel = Panel(sheet, part, limits, limits, margins=_SMALL_MARGINS)
     sheet.add(
         Words(x=part.x + 6, y=part.y + 8, text=record.scene[:26], size=9, strong=True),
@@ -206,13 +207,13 @@ def predicted_measured(record: SceneRecord, target: Quantity) -> Drawing:
     """
     sample = record.sample(target.name)
     second = "fitted" if np.isfinite(predicted("fitted", sample)[0]) else "fixed 0.79"
-    sheet, parts = _pair()
+    sheet, parts = row_of_panels()
     for part, name in zip(parts, ("SAH", second), strict=True):
         alpha, values = predicted(name, sample)
         r = pearson(values, sample.measured)
         label = "SAH" if name == "SAH" else f"SAH + EPO, α = {alpha:.2f}"
         title = f"{label}:  r = {r:.3f}" if np.isfinite(r) else label
-        limits = _limits(values, 0.16), _limits(sample.measured, 0.1)
+        limits = limits_of(values, 0.16), limits_of(sample.measured, 0.1)
         labels = ("predicted cost", f"measured: {target.heading}")
         panel = Panel(sheet, part, *limits, title=title, labels=labels)
         _scatter(panel, record, values, target)
@@ -221,11 +222,6 @@ def predicted_measured(record: SceneRecord, target: Quantity) -> Drawing:
 
 def _scatter(panel: Panel, record: SceneRecord, values: F64, target: Quantity) -> None:
     measured = record.column(target.name)
-    if len(values) > 1 and np.isfinite(measured).all() and np.ptp(values) > 0:
-        slope, base = np.polyfit(values, measured, 1)
-        ends = np.array([values.min(), values.max()])
-        panel.line(ends, base + slope * ends)
-    names = [tree.builder for tree in record.trees]
     tips = []
     for tree, x, y in zip(record.trees, values, measured, strict=True):
         noise = f" ±{tree[target.error]:.1%}" if target.error else ""
@@ -233,6 +229,26 @@ def _scatter(panel: Panel, record: SceneRecord, values: F64, target: Quantity) -
             f"{tree.builder}: {target.heading} {y:.4g}{noise}, predicted {x:.4g}, "
             f"SAH {tree['sah']:.4g}, EPO {tree['epo']:.4g}, LCV {tree['lcv']:.3g}"
         )
+    scatter(panel, [tree.builder for tree in record.trees], values, measured, tips)
+
+
+def scatter(
+    panel: Panel, names: Sequence[str], values: F64, measured: F64, tips: Sequence[str]
+) -> None:
+    """Draw predicted against measured cost of trees, with the line that fits them best.
+
+    Parameters
+    ----------
+    panel : Panel
+    names : sequence of str
+        Of the builders, in the order of their colours.
+    values, measured : (T,) float64
+    tips : sequence of str
+    """
+    if len(values) > 1 and np.isfinite(measured).all() and np.ptp(values) > 0:
+        slope, base = np.polyfit(values, measured, 1)
+        ends = np.array([values.min(), values.max()])
+        panel.line(ends, base + slope * ends)
     panel.dots(values, measured, names, tips, range(len(names)))
     if np.isfinite(measured).all():
         panel.names(values, measured, names)
@@ -253,7 +269,7 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> Drawing:
     limits = (low - 0.04 * (1 - low), 1 + 0.02 * (1 - low))
     held = [q for q in targets() if q.name in ("counted_cost", SCALAR.ns)]
     height = 60 + 24.0 * len(names)
-    sheet, parts = _pair(height, panels=len(held))
+    sheet, parts = row_of_panels(height, panels=len(held))
     margins = (98.0, *MARGINS[1:])
     for part, target in zip(parts, held, strict=True):
         labels = ("Pearson's r over a scene's trees", "")
@@ -286,7 +302,7 @@ def _summary_row(panel: Panel, of: pd.DataFrame, name: str, i: int, target: Quan
 
 def by_depth(record: SceneRecord) -> Drawing:
     """Where in the tree the cost and the overlap sit: SAH and EPO by depth."""
-    sheet, parts = _pair(180.0, _strip(record))
+    sheet, parts = row_of_panels(180.0, _strip(record))
     for part, name in zip(parts, ("sah", "epo"), strict=True):
         heading = quantities()[name].heading
         levels = [t.sah_by_depth if name == "sah" else t.epo_by_depth for t in record.trees]
@@ -309,7 +325,7 @@ def remaining(record: SceneRecord, found: DepthResult) -> Drawing:
     found : DepthResult
         Of this scene.
     """
-    sheet, parts = _pair(180.0, _strip(record))
+    sheet, parts = row_of_panels(180.0, _strip(record))
     left = [np.array(cuts.remaining_after_splits, dtype=np.float64) for cuts in found.trees]
     right = [np.array(c.spent_by_depth) + np.array(c.remaining_by_depth) for c in found.trees]
     tips = [
@@ -332,7 +348,7 @@ def _curves(
 ) -> None:  # fmt: skip
     values = np.concatenate([np.asarray(c, np.float64) for c in curves] or [np.zeros(1)])
     known = values[np.isfinite(values) & ((values > 0) | (not log))]
-    y = _limits(known)
+    y = limits_of(known)
     if log and len(known):
         y = (float(known.min()) / 1.15, float(known.max()) * 1.15)
     longest = max((len(c) for c in curves), default=1)
@@ -360,11 +376,11 @@ def rotation(factors: pd.DataFrame) -> Drawing:
         f"SAH {row['sah']:.2f}×, EPO {row['epo']:.2f}×"
         for _, row in factors.iterrows()
     ]
-    sheet, parts = _pair(216.0)
+    sheet, parts = row_of_panels(216.0)
     for part, name in zip(parts, ("sah", "fitted"), strict=True):
         x, y = factors[name].to_numpy(np.float64), factors["counted_cost"].to_numpy(np.float64)
         labels = ("predicted factor", "factor of counted cost")
-        panel = Panel(sheet, part, _limits(x), _limits(y), title=titles[name], labels=labels)
+        panel = Panel(sheet, part, limits_of(x), limits_of(y), title=titles[name], labels=labels)
         known = np.concatenate([x, y])
         known = known[np.isfinite(known)]
         ends = [max(panel.x.low, panel.y.low), min(panel.x.high, panel.y.high)]
@@ -383,13 +399,13 @@ def swept(sweep: Sweep) -> Drawing:
     sweep : Sweep
     """
     known = quantities()
-    sheet, parts = _pair()
+    sheet, parts = row_of_panels()
     for part, names in zip(parts, (("counted_cost",), ("sah", "epo")), strict=True):
         columns = [sweep.column(name) for name in names]
         title = " and ".join(known[n].heading for n in names)
         panel = Panel(
-            sheet, part, _limits(np.asarray(sweep.values, np.float64)),
-            _limits(np.concatenate(columns)), title=title, labels=(sweep.option, "cost"),
+            sheet, part, limits_of(np.asarray(sweep.values, np.float64)),
+            limits_of(np.concatenate(columns)), title=title, labels=(sweep.option, "cost"),
         )  # fmt: skip
         for i, (name, values) in enumerate(zip(names, columns, strict=True)):
             heading = known[name].heading

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from mibvh.metrics.predictor import pearson
 from mibvh.metrics.predictors import Sample
-from mibvh.plot.marks import named_points
 from mibvh.studies.analyse.correlations import predicted
 from mibvh.studies.measure.widths import WidthResult, columns_at
 from mibvh.studies.record.scene import SceneRecord
-from mibvh.studies.report.plots import _figure, _name, _tip, style
+from mibvh.studies.report.axes import Panel
+from mibvh.studies.report.drawing import Drawing
+from mibvh.studies.report.plots import limits_of, row_of_panels, scatter
 
 
-def at_widths(record: SceneRecord, found: WidthResult) -> Figure:
+def at_widths(record: SceneRecord, found: WidthResult) -> Drawing:
     """SAH with EPO against counted cost of a scene's trees, a panel per width.
 
     Parameters
@@ -32,7 +32,7 @@ def at_widths(record: SceneRecord, found: WidthResult) -> Figure:
     return side_by_side(record, samples)
 
 
-def side_by_side(record: SceneRecord, samples: Mapping[str, Sample]) -> Figure:
+def side_by_side(record: SceneRecord, samples: Mapping[str, Sample]) -> Drawing:
     """SAH with EPO against counted cost of a scene's trees, a panel per sample.
 
     Parameters
@@ -42,18 +42,18 @@ def side_by_side(record: SceneRecord, samples: Mapping[str, Sample]) -> Figure:
         By the titles of their panels.
     """
     builders = [tree.builder for tree in record.trees]
-    with style():
-        figure, axes = _figure(len(samples))
-        for axis, (title, sample) in zip(axes, samples.items(), strict=True):
-            alpha, values = predicted("fitted", sample)
-            if not np.isfinite(alpha):
-                alpha, values = predicted("fixed 0.79", sample)
-            gids = [
-                f"{_tip(name)}{name}, {title}: counted cost {y:.4g}, predicted {x:.4g}"
-                for name, x, y in zip(builders, values, sample.measured, strict=True)
-            ]
-            named_points(axis, builders, values, sample.measured, line=True, gids=gids)
-            r = pearson(values, sample.measured)
-            said = f"{title}, α = {alpha:.2f}" + (f":  r = {r:.3f}" if np.isfinite(r) else "")
-            _name(axis, said, "predicted cost", "counted cost")
-    return figure
+    sheet, parts = row_of_panels(panels=len(samples))
+    for part, (title, sample) in zip(parts, samples.items(), strict=True):
+        alpha, values = predicted("fitted", sample)
+        if not np.isfinite(alpha):
+            alpha, values = predicted("fixed 0.79", sample)
+        r = pearson(values, sample.measured)
+        said = f"{title}, α = {alpha:.2f}" + (f":  r = {r:.3f}" if np.isfinite(r) else "")
+        limits = limits_of(values, 0.16), limits_of(sample.measured, 0.1)
+        panel = Panel(sheet, part, *limits, title=said, labels=("predicted cost", "counted cost"))
+        tips = [
+            f"{name}, {title}: counted cost {y:.4g}, predicted {x:.4g}"
+            for name, x, y in zip(builders, values, sample.measured, strict=True)
+        ]
+        scatter(panel, builders, values, sample.measured, tips)
+    return sheet
