@@ -23,6 +23,7 @@ from mibvh.studies.record.scene import Timing
 from mibvh.traversal.records import Records, make_records, unit_scale
 from mibvh.traversal.trace import LaunchSeconds, Tracer
 from mibvh.tree import Tree
+from mibvh.variant import backend
 
 Lanes = Literal["scalar", "simd"]
 LANES: tuple[Lanes, ...] = ("scalar", "simd")
@@ -30,8 +31,8 @@ LANES: tuple[Lanes, ...] = ("scalar", "simd")
 _PORTION = {"scalar": 8192, "simd": 32768}
 _MOST_PORTIONS = 8
 #: How often the rays of a small set may be repeated to fill a launch. A set that needs more tells
-#: how fast these few rays are, and not how fast the tree is.
-_MOST_COPIES = 256
+#: how fast these few rays are, and not how fast the tree is. A GPU is not even full of such a set.
+_MOST_COPIES = {"llvm": 256, "cuda": 4096}
 
 Launch = Callable[[int], LaunchSeconds]
 
@@ -133,7 +134,7 @@ def time_frames(
     chosen = [timed_rays(frame.rays, lanes, options) for frame in frames]
     count = len(chosen[0])
     copies, portions = _sizes(frames[0], chosen[0], lanes, options, style)
-    if copies > _MOST_COPIES:
+    if copies > _MOST_COPIES[backend()]:
         none = [math.nan] * sum(len(frame.trees) for frame in frames)
         timing = Timing(rounds=0, complete=False, rays=count, portions=0)
         return TreeTimes(none, none, dict.fromkeys(CLOCKS, none), timing)
