@@ -142,9 +142,14 @@ def test_given_trees_alone(tmp_path, mine, scene):
     mine.save(path)
     steps = []
     found = mibvh.study(
-        [scene, "hairball@300"], tmp_path / "out", trees={"mine": [path, None]}, builders=[],
-        experiments=("all",), progress=steps.append, **CHOICES,
-    )  # fmt: skip
+        [scene, "hairball@300"],
+        tmp_path / "out",
+        trees={"mine": [path, None]},
+        builders=[],
+        experiments=("all",),
+        progress=steps.append,
+        **CHOICES,
+    )
     assert [tree.builder for record in found.scenes for tree in record.trees] == ["mine"]
     assert found.left_out == {
         "hairball@300": "hairball@300: there is no builder, and no tree of it is given"
