@@ -211,7 +211,7 @@ def find_scene_file(source: str | os.PathLike[str]) -> tuple[Path, dict[str, str
         for pair in match.group(2).split(","):
             name, equals, value = pair.partition("=")
             if not equals or not name:
-                raise MibvhError(f"{printable(text)}: in the brackets stands name=value,...")
+                raise MibvhError(f"{printable(text)}: in the brackets, write name=value,...")
             defines[unquote(name)] = unquote(value)
         text = match.group(1)
         path = Path(text)

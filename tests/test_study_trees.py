@@ -494,8 +494,8 @@ def test_trees_are_refused_before_any_work(tmp_path, scene, mine):
     mine.save(path)
     deep = chain(80)
     for trees, said in (
-        ({"bbvh": mine}, "cannot be called bbvh, as a builder is"),
-        ({"embree": mine}, "cannot be called embree, as a builder is"),
+        ({"bbvh": mine}, "cannot have the name of a builder, bbvh"),
+        ({"embree": mine}, "cannot have the name of a builder, embree"),
         ({"a|b": mine}, "cannot be called 'a|b'"),
         ({"a": {"cornel": mine}}, r"no scene of the study \(did you mean 'cornell@1000'"),
         ({"a": [mine, mine]}, "2 given for 1 scenes"),
