@@ -41,7 +41,7 @@ __all__ = [
 #: Of every scene that is read where Mitsuba has a GPU's variant without OptiX.
 NO_OPTIX = (
     "Mitsuba cannot trace rays in this variant, which takes OptiX: there are no viewpoints and no "
-    "picture, rays have to be given, and hits are not held against Mitsuba's"
+    "picture, rays have to be given, and hits are not compared with Mitsuba's"
 )
 
 

@@ -22,7 +22,7 @@ class Checks:
 
 
 class Auditor:
-    """Audits the trees of a scene; their hits are held against each other's, too.
+    """Audits the trees of a scene; their hits are compared with each other's, too.
 
     Parameters
     ----------

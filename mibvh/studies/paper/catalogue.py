@@ -40,7 +40,7 @@ def triangle_count_notes(name: str, triangles: int) -> list[str]:
     if known is None or known.triangles in (None, triangles):
         return []
     return [
-        f"{name} has {triangles:,} triangles, but the {known.name} that is to be had at "
+        f"{name} has {triangles:,} triangles, but the {known.name} that is available at "
         f"{known.where} has {known.triangles:,}: another version, so figures will differ"
     ]
 
