@@ -67,7 +67,7 @@ def copy_notebooks(target: Path) -> list[Path]:
     copies = [make_folder(target) / source.name for source in sources]
     for copy in copies:
         if copy.exists():
-            raise MibvhError(f"{copy}: is there already; name another folder")
+            raise MibvhError(f"{copy}: exists already; name another folder")
     for source, copy in zip(sources, copies, strict=True):
         write_text(copy, source.read_text(encoding="utf-8"))
     return copies
@@ -135,7 +135,7 @@ def bundled_scene(name: str, triangles: int | None = None, seed: int | None = No
     base, _, size = name.partition("@")
     if size:
         if not (size.isascii() and size.isdigit()):
-            raise MibvhError(f"{name}: after the @ stands the number of triangles")
+            raise MibvhError(f"{name}: after the @, write the number of triangles")
         triangles = int(size)
     _check(base, triangles, seed)
     label = base + (f"@{triangles}" if triangles else "") + (f"+{seed}" if seed is not None else "")

@@ -917,7 +917,7 @@ def scenes_paper(as_json: Json = False) -> None:
     Console().print(table)
     typer.echo(
         f"\nThe slides name {len(known)} of the {published().scenes} scenes; what is not known is "
-        "left out.\nTriangles are those of the file that is to be had; the paper's own may differ."
+        "left out.\nTriangles are those of the available file; the paper's own may differ."
     )
 
 

@@ -37,7 +37,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         if target.exists() and not target.is_file():
             # Moved into place, a file would take the place of a device such as /dev/null.
-            raise MibvhError(f"{path}: cannot be written (it is there, and is no file)")
+            raise MibvhError(f"{path}: cannot be written (it exists, and is no file)")
         handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
     except OSError as error:
         raise MibvhError(f"{path}: cannot be written ({error.strerror})") from None

@@ -41,7 +41,7 @@ __all__ = [
 #: Of every scene that is read where Mitsuba has a GPU's variant without OptiX.
 NO_OPTIX = (
     "Mitsuba cannot trace rays in this variant, which takes OptiX: there are no viewpoints and no "
-    "picture, rays have to be given, and hits are not held against Mitsuba's"
+    "picture, rays have to be given, and hits are not compared with Mitsuba's"
 )
 
 
@@ -211,7 +211,7 @@ def find_scene_file(source: str | os.PathLike[str]) -> tuple[Path, dict[str, str
         for pair in match.group(2).split(","):
             name, equals, value = pair.partition("=")
             if not equals or not name:
-                raise MibvhError(f"{printable(text)}: in the brackets stands name=value,...")
+                raise MibvhError(f"{printable(text)}: in the brackets, write name=value,...")
             defines[unquote(name)] = unquote(value)
         text = match.group(1)
         path = Path(text)

@@ -206,7 +206,7 @@ class Tree(Hierarchy):
         references : (R,) int, optional
             Triangle ids; by default ranges are of triangles themselves.
         root : int, optional
-            By default node 0, or, where that is somebody's child, the node that is nobody's.
+            By default node 0, or, where that is a child, the node without a parent.
         name : str
             What the tree is called where builders are named.
 

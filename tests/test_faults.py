@@ -143,7 +143,7 @@ def test_what_was_there_stays_when_writing_fails(tmp_path):
 def test_devices_pipes_and_folders_are_not_replaced(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for path in ("/dev/null", tmp_path / "pipe", tmp_path):
-        with pytest.raises(mibvh.MibvhError, match="it is there, and is no file"):
+        with pytest.raises(mibvh.MibvhError, match="it exists, and is no file"):
             write_arrays(path, {}, {})
     assert os.path.exists("/dev/null")
     assert not os.path.isfile("/dev/null")

@@ -80,7 +80,7 @@ def test_both_ends_of_every_range(name):
         (("render", "cornell@1000", "-o", "p.png", "--sensor", "-1"), "sensor must be a whole"),
         (("scenes", "make", "cornell", "--triangles", "0"), "cornell: triangles must be a whole"),
         (("scenes", "make", "cornell", "--seed", "-1"), "cornell: seed must be a whole"),
-        (("build", "cornell@\u00b2", "-o", "t.npz"), "after the @ stands the number of triangles"),
+        (("build", "cornell@\u00b2", "-o", "t.npz"), "after the @, write the number of triangles"),
         (("build", "cornell@0", "-o", "t.npz"), "cornell: triangles must be a whole"),
         (("build", "cornell@99999999999", "-o", "t.npz"), "cornell: triangles must be a whole"),
         (("build", "a\0b", "-o", "t.npz"), "no such file, and no bundled scene"),

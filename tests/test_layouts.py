@@ -245,6 +245,14 @@ def test_refusals(small_soup, tmp_path):
         mibvh.write_tree(tree, tmp_path / "absent" / "t", "tinybvh")
 
 
+@pytest.mark.parametrize(("written", "asked"), [("mibvh", "tinybvh"), ("npz", "mibvh")])
+def test_files_of_another_layout_are_recognised(written, asked, small_soup, tmp_path):
+    path = tmp_path / "t.bin"
+    mibvh.write_tree(mibvh.build(small_soup, "bbvh"), path, written)
+    with pytest.raises(mibvh.MibvhError, match=rf"begins like a file of the layout {written}\)$"):
+        mibvh.read_tree(path, asked)
+
+
 def compiled(folder, source):
     """Compile a program with g++ alone."""
     compiler = shutil.which("g++")
@@ -375,8 +383,18 @@ def test_wide_dumps_of_tinybvh(tmp_path, scene, builder, width):
     tree = mibvh.build(triangles, builder)
     data, sah = dump_of_mbvh(tree, width)
     (tmp_path / "dump").write_bytes(data)
-    found = run("import", tmp_path / "dump", "--layout", f"mbvh{width}", "-o", tmp_path / "w.npz",
-                "--scene", scene, "--name", "theirs")  # fmt: skip
+    found = run(
+        "import",
+        tmp_path / "dump",
+        "--layout",
+        f"mbvh{width}",
+        "-o",
+        tmp_path / "w.npz",
+        "--scene",
+        scene,
+        "--name",
+        "theirs",
+    )
     wide = mibvh.read_tree(tmp_path / "w.npz")
     assert isinstance(wide, mibvh.WideTree)
     assert wide.width == wide.children.max() == width

@@ -57,3 +57,10 @@ def test_the_wheel_is_named_only_where_it_is_installed():
             importlib.metadata.version("karellen-llvm-core")
     else:
         assert usable(library)
+
+
+def test_the_former_name_of_release_memory():
+    from mibvh.variant import give_back_memory
+
+    with pytest.warns(DeprecationWarning, match="is now called release_memory"):
+        give_back_memory()

@@ -191,15 +191,24 @@ def test_the_answer_takes_ten_lines(small_study):
     lines = answer(small_study.scenes, small_study.correlations)
     assert 3 <= len(lines) <= 10
     assert lines[0].startswith(small_study.scenes[0].scene)
-    many = [dataclasses.replace(r, scene=f"{r.scene}{i}") for i in range(20)
-            for r in small_study.scenes]  # fmt: skip
+    many = [
+        dataclasses.replace(r, scene=f"{r.scene}{i}") for i in range(20) for r in small_study.scenes
+    ]
     assert len(answer(many, small_study.correlations)) <= 10
 
 
 def test_the_page_answers_before_its_tables(small_study):
     page = small_study.report.read_text()
-    order = ['class="answer"', 'id="best"', 'id="predicted"', 'id="predictors"', 'id="where"',
-             'id="claims"', 'id="scenes"', 'id="tables"']  # fmt: skip
+    order = [
+        'class="answer"',
+        'id="best"',
+        'id="predicted"',
+        'id="predictors"',
+        'id="where"',
+        'id="claims"',
+        'id="scenes"',
+        'id="tables"',
+    ]
     places = [page.index(what) for what in order]
     assert places == sorted(places)
     before = unescape(page[: places[4]])

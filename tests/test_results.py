@@ -81,8 +81,12 @@ def test_sheets_of_a_page():
     ]
     page = next(page for page in PAGES if page.file == "correlations")
     assert [s.name for s in on_page(page, sheets)] == [
-        "overview", "pooled-b", "pooled-a", "r", "r-others",
-    ]  # fmt: skip
+        "overview",
+        "pooled-b",
+        "pooled-a",
+        "r",
+        "r-others",
+    ]
 
 
 def write_scene(folder: Path, name: str, triangles: int, seed: int) -> None:

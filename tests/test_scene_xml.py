@@ -330,7 +330,7 @@ def test_parameters_are_part_of_the_name(tmp_path):
     ("source", "defines", "said"),
     [
         ("{}[m=3]", None, "Mitsuba cannot load it"),
-        ("{}[n]", None, "in the brackets stands name=value"),
+        ("{}[n]", None, "in the brackets, write name=value"),
         ("{}", {"n": "much"}, "Mitsuba cannot load it"),
         ("{}[n=2].obj", None, "no such file"),
     ],

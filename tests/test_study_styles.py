@@ -34,9 +34,12 @@ def test_costs_are_what_the_kernels_packets_issue(finished, cornell):
     for run in found.runs:
         for builder, tree in zip(BUILDERS, run.trees, strict=True):
             hits = mibvh.trace(
-                mibvh.build(cornell.triangles, builder), cornell.triangles, rays,
-                style=run.style, repeats=1,
-            )  # fmt: skip
+                mibvh.build(cornell.triangles, builder),
+                cornell.triangles,
+                rays,
+                style=run.style,
+                repeats=1,
+            )
             if run.style == "wide":
                 assert tree.scalar_cost == hits.steps.mean()
                 assert tree.cost == hits.issued / len(rays)
@@ -113,9 +116,20 @@ def test_impossible_styles(choices, said):
 def test_command(tmp_path):
     found = CliRunner().invoke(
         app,
-        ["study", "cornell@300", "-o", str(tmp_path), "--builders", "bbvh,lbvh,sbvh", "--seconds",
-         "0", "--styles", "single,speculative", "--json"],
-    )  # fmt: skip
+        [
+            "study",
+            "cornell@300",
+            "-o",
+            str(tmp_path),
+            "--builders",
+            "bbvh,lbvh,sbvh",
+            "--seconds",
+            "0",
+            "--styles",
+            "single,speculative",
+            "--json",
+        ],
+    )
     assert found.exit_code == 0, found.output
     assert json.loads(found.stdout.splitlines()[-1])["event"] == "result"
     (record,) = read_study(tmp_path).scenes

@@ -142,9 +142,14 @@ def test_given_trees_alone(tmp_path, mine, scene):
     mine.save(path)
     steps = []
     found = mibvh.study(
-        [scene, "hairball@300"], tmp_path / "out", trees={"mine": [path, None]}, builders=[],
-        experiments=("all",), progress=steps.append, **CHOICES,
-    )  # fmt: skip
+        [scene, "hairball@300"],
+        tmp_path / "out",
+        trees={"mine": [path, None]},
+        builders=[],
+        experiments=("all",),
+        progress=steps.append,
+        **CHOICES,
+    )
     assert [tree.builder for record in found.scenes for tree in record.trees] == ["mine"]
     assert found.left_out == {
         "hairball@300": "hairball@300: there is no builder, and no tree of it is given"
@@ -489,8 +494,8 @@ def test_trees_are_refused_before_any_work(tmp_path, scene, mine):
     mine.save(path)
     deep = chain(80)
     for trees, said in (
-        ({"bbvh": mine}, "cannot be called bbvh, as a builder is"),
-        ({"embree": mine}, "cannot be called embree, as a builder is"),
+        ({"bbvh": mine}, "cannot have the name of a builder, bbvh"),
+        ({"embree": mine}, "cannot have the name of a builder, embree"),
         ({"a|b": mine}, "cannot be called 'a|b'"),
         ({"a": {"cornel": mine}}, r"no scene of the study \(did you mean 'cornell@1000'"),
         ({"a": [mine, mine]}, "2 given for 1 scenes"),

@@ -85,11 +85,28 @@ def test_a_study_of_given_rays(tmp_path):
     trimesh.Trimesh(scene.corners.reshape(-1, 3), faces, process=False).export(mesh)
     rays_within(read_mesh(mesh)[0], 400_000).save(tmp_path / "rays.npz")
     told = subprocess.run(
-        [sys.executable, "-m", "mibvh", "study", str(mesh), "-o", str(tmp_path / "out"),
-         "--rays", str(tmp_path / "rays.npz"), "--builders", "bbvh,sbvh", "--seconds", "1",
-         "--variant", VARIANT, "--json"],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "mibvh",
+            "study",
+            str(mesh),
+            "-o",
+            str(tmp_path / "out"),
+            "--rays",
+            str(tmp_path / "rays.npz"),
+            "--builders",
+            "bbvh,sbvh",
+            "--seconds",
+            "1",
+            "--variant",
+            VARIANT,
+            "--json",
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     result = json.loads(told.stdout.splitlines()[-1])
     assert result["audit_failures"] == []
     machine = json.loads((tmp_path / "out" / "environment.json").read_text())

@@ -1,4 +1,4 @@
-"""The instrument audits itself: each number held against one that shares no code with it."""
+"""The instrument audits itself: each number compared with one that shares no code with it."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """One number, held against what another path through the code gives.
+    """One number, compared with what another path through the code gives.
 
     Attributes
     ----------

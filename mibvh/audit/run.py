@@ -40,7 +40,7 @@ def audit(
 ) -> Audit:
     """Check a tree, its figures, and the rays traced through it.
 
-    Each number is held against another path through the code: the tree against its invariants,
+    Each number is compared with another path through the code: the tree against its invariants,
     SAH against a sum over boxes, EPO against points on the surfaces, hits against brute force and
     Mitsuba, SIMD lanes against scalar ones and a simulation without Dr.Jit, counts against a
     second launch. On a GPU the simulation is left out, and Mitsuba too where OptiX, by which it

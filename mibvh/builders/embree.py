@@ -271,8 +271,13 @@ def _gather_wide(root, room, width):
     for n in range(nodes - 1, 0, -1):
         _widen(lower[parent[n]], upper[parent[n]], lower[n], upper[n])
     return (
-        lower[:nodes], upper[:nodes], rows[:nodes], first[:nodes], count[:nodes], triangle[:used],
-    )  # fmt: skip
+        lower[:nodes],
+        upper[:nodes],
+        rows[:nodes],
+        first[:nodes],
+        count[:nodes],
+        triangle[:used],
+    )
 
 
 @njit
@@ -335,17 +340,23 @@ def _built(
     bvh = library.rtcNewBVH(device)
     try:
         arguments = _Arguments(
-            byteSize=ctypes.sizeof(_Arguments), buildQuality=_QUALITIES[options.quality],
-            maxBranchingFactor=width, maxDepth=_MAX_DEPTH if width == 2 else MAX_DEPTH,
-            sahBlockSize=1, minLeafSize=1,
+            byteSize=ctypes.sizeof(_Arguments),
+            buildQuality=_QUALITIES[options.quality],
+            maxBranchingFactor=width,
+            maxDepth=_MAX_DEPTH if width == 2 else MAX_DEPTH,
+            sahBlockSize=1,
+            minLeafSize=1,
             maxLeafSize=1 if width == 2 else min(options.max_leaf, _MAX_LEAF),
             # Embree counts splits: a node of `width` children is made by one fewer.
             traversalCost=(options.c_inner + C_BOX * (width - 2)) / (width - 1),
-            intersectionCost=options.c_tri, bvh=bvh,
-            primitives=rows.ctypes.data, primitiveCount=count, primitiveArrayCapacity=room,
+            intersectionCost=options.c_tri,
+            bvh=bvh,
+            primitives=rows.ctypes.data,
+            primitiveCount=count,
+            primitiveArrayCapacity=room,
             userPtr=corners.ctypes.data,
             **{name: function.address for name, function in callbacks.items()},
-        )  # fmt: skip
+        )
         root = library.rtcBuildBVH(ctypes.byref(arguments))
         error = library.rtcGetDeviceError(device)
         if not root or error:

@@ -45,6 +45,16 @@ def option(default: Any, help: str, low: float | None = None, high: float | None
 class Options:
     """What every builder takes. A builder's own options inherit from this.
 
+    Attributes
+    ----------
+    max_leaf : int
+        Triangles in a leaf, at most.
+    c_inner, c_tri : float
+        Cost of an inner node, and of a triangle test; the paper's constants by default (Aila,
+        Karras and Laine, HPG 2013).
+    presplit : float
+        References that splitting triangles up front may add, as a share of the triangles.
+
     Raises
     ------
     MibvhError

@@ -44,12 +44,15 @@ class Layout:
         From a tree to the file's bytes.
     width : int
         Children that a node may have.
+    magic : bytes
+        What its files begin with; empty where that may be anything.
     """
 
     summary: str
     parse: Callable[[bytes], dict[str, Any]]
     pack: Callable[[Any], bytes]
     width: int = 2
+    magic: bytes = b""
 
 
 def get(name: str) -> Any:
@@ -97,8 +100,10 @@ def read_tree(
         return WideTree.load(path) if kind_of(path) == "wide tree" else Tree.load(path)
     if not path.is_file():
         raise MibvhError(f"{path}: there is no such file")
+    data = b""
     try:
-        arrays = chosen.parse(path.read_bytes())
+        data = path.read_bytes()
+        arrays = chosen.parse(data)
         if chosen.width == 2:
             return Tree.from_arrays(**arrays, name=name or path.stem)
         wide = WideTree.from_nodes(**arrays, meta={"builder": name or path.stem})
@@ -107,7 +112,14 @@ def read_tree(
     except OSError as error:
         raise MibvhError(f"{path}: cannot be read ({error.strerror})") from None
     except MibvhError as error:
-        raise MibvhError(f"{path}: {error}") from None
+        raise MibvhError(f"{path}: {error}{_hint(data, layout)}") from None
+
+
+def _hint(data: bytes, layout: str) -> str:
+    """Another layout whose files begin so, as the end of a sentence; empty if there is none."""
+    marks = {name: get(name).magic for name in LAYOUTS if name != layout}
+    fitting = [name for name, magic in marks.items() if magic and data.startswith(magic)]
+    return f" (it begins like a file of the layout {fitting[0]})" if fitting else ""
 
 
 def read_binary(path: str | os.PathLike[str], name: str = "") -> Tree:

@@ -135,7 +135,7 @@ def _ids(references: Any, leaf: Any, first: I64, count: I64) -> npt.NDArray[np.i
 
 
 def _root(left: I64, right: I64, nodes: int) -> int:
-    """Node 0, or, where that is somebody's child, the one node that is nobody's."""
+    """Node 0, or, where that is a child, the one node without a parent."""
     inner = np.flatnonzero(left >= 0)
     children = np.concatenate([left[inner], right[inner]])
     named = np.zeros(nodes, bool)
@@ -145,7 +145,7 @@ def _root(left: I64, right: I64, nodes: int) -> int:
     free = np.flatnonzero(~named)
     if len(free) != 1:
         raise MibvhError(
-            f"node 0 is somebody's child, {len(free)} nodes are nobody's: root= must name the root"
+            f"node 0 is a child, and {len(free)} nodes have no parent: root= must name the root"
         )
     return int(free[0])
 

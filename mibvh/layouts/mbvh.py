@@ -27,9 +27,16 @@ _SIZES = 8
 def node(width: int) -> np.dtype[Any]:
     """A node of so many children."""
     return np.dtype(
-        [("lower", "<f4", 3), ("first", "<u4"), ("upper", "<f4", 3), ("count", "<u4"),
-         ("child", "<u4", width), ("children", "<u4"), ("unused", "<u4", 3)]
-    )  # fmt: skip
+        [
+            ("lower", "<f4", 3),
+            ("first", "<u4"),
+            ("upper", "<f4", 3),
+            ("count", "<u4"),
+            ("child", "<u4", width),
+            ("children", "<u4"),
+            ("unused", "<u4", 3),
+        ]
+    )
 
 
 def _parse(data: bytes, width: int) -> dict[str, Any]:

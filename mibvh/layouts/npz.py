@@ -10,6 +10,7 @@ class Own:
     """Read and written by the tree itself."""
 
     summary: str
+    magic: bytes = b"PK\x03\x04"  # a zip archive
 
 
 LAYOUT = Own("mibvh's own .npz")

@@ -54,4 +54,6 @@ def pack(tree: Tree) -> bytes:
     return MAGIC + sizes.tobytes() + table.tobytes() + tree.references.astype("<u4").tobytes()
 
 
-LAYOUT = Layout("plain nodes of 40 bytes, written by docs/examples/mibvh_tree.h", parse, pack)
+LAYOUT = Layout(
+    "plain nodes of 40 bytes, written by docs/examples/mibvh_tree.h", parse, pack, magic=MAGIC
+)

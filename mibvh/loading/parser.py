@@ -1,6 +1,6 @@
 """Mitsuba's XML and dicts: parsed, shape groups expanded, instantiated.
 
-Mitsuba itself reads the meshes that a scene names, and its hits are what ours are held against; so
+Mitsuba itself reads the meshes that a scene names, and its hits are what ours are compared with; so
 what it makes of them is taken over as it is.
 """
 

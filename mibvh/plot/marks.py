@@ -171,9 +171,14 @@ def _label_points(axis: Axes, labels: Sequence[str], x: F64, y: F64) -> None:
             axis.plot(ends[:, 0], ends[:, 1], color="#888888", lw=0.6, zorder=2)
         x_text, y_text = place.centre / size * (high - low) + low
         axis.text(
-            x_text, y_text, literal(labels[place.of]), fontsize=8, ha="center", va="center",
+            x_text,
+            y_text,
+            literal(labels[place.of]),
+            fontsize=8,
+            ha="center",
+            va="center",
             zorder=4,
-        )  # fmt: skip
+        )
 
 
 def depth_curves(

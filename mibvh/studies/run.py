@@ -366,7 +366,7 @@ def remake_report(folder: str | os.PathLike[str], figures: Sequence[str] = ()) -
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
             raise MibvhError(
-                f"{folder}: the records of this study cannot be made a report of ({reason})"
+                f"{folder}: no report can be made of this study's records ({reason})"
             ) from error
     return found
 

@@ -173,7 +173,7 @@ def _check_name(name: str) -> None:
             f"a tree cannot be called {name!r}: letters, digits, spaces and any of _.+- make a name"
         )
     if known(name):
-        raise MibvhError(f"a tree cannot be called {name}, as a builder is")
+        raise MibvhError(f"a tree cannot have the name of a builder, {name}")
 
 
 def _by_scene(what: str, given: Any, names: Sequence[str]) -> dict[str, Any]:

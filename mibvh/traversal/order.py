@@ -41,9 +41,7 @@ def ray_order(rays: RaySet, bounds: F32, order: Order = "stored", seed: int = 0)
     if order not in get_args(Order):
         raise MibvhError(f"the order must be one of {', '.join(get_args(Order))}, not {order!r}")
     if order == "path" and rays.meta.get("order") != "path":
-        raise MibvhError(
-            "the rays do not stand in the order of their paths: make them with sort=False"
-        )
+        raise MibvhError("the rays are not in the order of their paths: make them with sort=False")
     if order == "random":
         return np.random.default_rng(seed).permutation(len(rays)).astype(np.int32)
     if order == "morton":

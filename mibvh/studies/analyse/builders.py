@@ -1,4 +1,4 @@
-"""Builders held against each other."""
+"""Builders compared with each other."""
 
 from __future__ import annotations
 

@@ -55,13 +55,13 @@ def noise_share(r: float, reliable: float) -> float:
     return (explained - r * r) / (1 - r * r) if r * r < 1 else 0.0
 
 
-def noise_table(records: Records, found: pd.DataFrame) -> pd.DataFrame:
+def noise_table(records: Records, correlations: pd.DataFrame) -> pd.DataFrame:
     """How much of what predictors miss of times is the stopwatch's noise.
 
     Parameters
     ----------
     records : sequence of SceneRecord
-    found : DataFrame
+    correlations : DataFrame
         From :func:`mibvh.studies.analyse.correlations.correlations`.
 
     Returns
@@ -71,7 +71,7 @@ def noise_table(records: Records, found: pd.DataFrame) -> pd.DataFrame:
         expected to be with this noise, the square root of the reliability), and the share of the
         unexplained variance that is noise for each of :func:`headline_predictors`.
     """
-    r = found.set_index(["scene", "measurement", "predictor"])["pearson"]
+    r = correlations.set_index(["scene", "measurement", "predictor"])["pearson"]
     rows = []
     for record in records:
         for lanes in LANES:

@@ -27,11 +27,11 @@ def _rows(record: SceneRecord) -> Iterator[TidyRow]:
     yield TidyRow(0, again)
 
 
-def _claims(records: Records, found: pd.DataFrame) -> Iterator[Claim]:
+def _claims(records: Records, correlations: pd.DataFrame) -> Iterator[Claim]:
     return itertools.chain(
-        prediction_claims(records, found),
-        builder_claims(records, found),
-        simd_claims(records, found),
+        prediction_claims(records, correlations),
+        builder_claims(records, correlations),
+        simd_claims(records, correlations),
     )
 
 

@@ -1,4 +1,4 @@
-"""The audit of a scene's trees: each figure of a row held against another path through the code."""
+"""The audit of a scene's trees: each figure of a row checked by independent code."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from mibvh.studies.measure.counts import RayCounter
 from mibvh.traversal.trace import Hits
 from mibvh.tree import Tree
 from mibvh.variant import backend
+from mibvh.wide_tree import WideTree
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +22,7 @@ class Checks:
 
 
 class Auditor:
-    """Audits the trees of a scene; their hits are held against each other's, too.
+    """Audits the trees of a scene; their hits are compared with each other's, too.
 
     Parameters
     ----------
@@ -33,8 +34,10 @@ class Auditor:
         self._counter = counter
         self._first: Hits | None = None
 
-    def __call__(self, tree: Tree, values: dict[str, float]) -> Checks:
-        """Check a tree and what its row says of SAH, EPO, counted cost and warps' scalar cost.
+    def __call__(self, tree: Tree | WideTree, values: dict[str, float]) -> Checks:
+        """Check a tree and what its row says of SAH, EPO and counted cost.
+
+        Of a binary tree, also the cost of simulated warps of one lane.
 
         The values may be kept ones of earlier runs: what the tree is traced for here is new.
         """
@@ -48,7 +51,8 @@ class Auditor:
             scene, tree, rays, hits, counted_cost=values["counted_cost"], others=self._first
         )
         self._first = self._first or hits
-        return Checks([sound, *figures, *traced, *self._warps(tree, hits, values)])
+        warps = [] if isinstance(tree, WideTree) else self._warps(tree, hits, values)
+        return Checks([sound, *figures, *traced, *warps])
 
     def _warps(self, tree: Tree, hits: Hits, values: dict[str, float]) -> Iterator[Check]:
         """Check that simulated warps of one lane cost what the kernel counts for the same rays.

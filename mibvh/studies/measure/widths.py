@@ -13,10 +13,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from mibvh.audit.record import Check
-from mibvh.audit.run import audit_figures, audit_hits, check_tree
 from mibvh.collapsing import binary_nodes, collapse
 from mibvh.metrics.epo import overlap
 from mibvh.metrics.sah import node_costs, sah
+from mibvh.studies.measure.audit import Auditor, Checks
 from mibvh.studies.measure.counts import LINES, RayCounter
 from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
@@ -25,7 +25,6 @@ from mibvh.studies.measure.trees import counted_rays, judged_tree
 from mibvh.studies.record.options import WIDTHS
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import Result
-from mibvh.traversal.trace import Hits
 from mibvh.tree import Tree
 from mibvh.triangles import F64
 from mibvh.variant import backend
@@ -70,11 +69,6 @@ class _Values:
     values: dict[str, float]
 
 
-@dataclasses.dataclass(frozen=True)
-class _Checks:
-    checks: list[Check]
-
-
 class _Collapsed:
     """A binary tree and what it collapses to, made when it is first needed."""
 
@@ -110,7 +104,7 @@ def width_experiment(setting: Setting, report: Reporter) -> WidthResult:
     widths = sorted({2, *(setting.options.widths or WIDTHS)})
     # The wide kernel does not re-test popped nodes, so that trees of two children must not, either.
     counter = RayCounter(setting.scene, setting.rays, cull=False)
-    audited = _Auditor(counter)
+    audited = Auditor(counter)
     share = 1 / len(setting.trees)
     found = []
     for i, (name, tree) in enumerate(setting.trees.items()):
@@ -133,7 +127,7 @@ def _binary(tree: Tree, counter: RayCounter, store: Store) -> WideRow:
     return WideRow({**of_tree, "mean_children": 2.0, **counts.values}, [])
 
 
-def _row(of: _Collapsed, width: int, audited: _Auditor, store: Store) -> WideRow:
+def _row(of: _Collapsed, width: int, audited: Auditor, store: Store) -> WideRow:
     """A wide tree: from the store, or made."""
     made_of = {
         "tree": of.tree.digest,
@@ -146,36 +140,8 @@ def _row(of: _Collapsed, width: int, audited: _Auditor, store: Store) -> WideRow
     values = kept(store, f"wide-{key}", _Values, functools.partial(of.figures, width)).values
     held = {name: values[name] for name in ("sah", "epo", "counted_cost")}
     key = key_of(__name__, "mibvh.audit.run", **made_of, **held)
-    checks = kept(store, f"audit-{key}", _Checks, lambda: audited(of.wide(width), values)).checks
+    checks = kept(store, f"audit-{key}", Checks, lambda: audited(of.wide(width), values)).checks
     return WideRow(values, checks)
-
-
-class _Auditor:
-    """Audits wide trees; their hits are held against each other's, too.
-
-    Parameters
-    ----------
-    counter : RayCounter
-        Of the scene's rays.
-    """
-
-    def __init__(self, counter: RayCounter) -> None:
-        self._counter = counter
-        self._first: Hits | None = None
-
-    def __call__(self, tree: WideTree, values: dict[str, float]) -> _Checks:
-        """Check a tree and what was found of it, perhaps in an earlier run."""
-        scene, rays = self._counter.scene, self._counter.rays
-        sound = check_tree(tree, scene.triangles)
-        if not sound.passed:
-            return _Checks([sound])
-        hits = self._counter.hits(tree)
-        figures = audit_figures(tree, scene.triangles, values["sah"], values["epo"])
-        traced = audit_hits(
-            scene, tree, rays, hits, counted_cost=values["counted_cost"], others=self._first
-        )
-        self._first = self._first or hits
-        return _Checks([sound, *figures, *traced])
 
 
 def at_width(found: WidthResult, width: int) -> Iterator[WideRow]:

@@ -40,7 +40,7 @@ def triangle_count_notes(name: str, triangles: int) -> list[str]:
     if known is None or known.triangles in (None, triangles):
         return []
     return [
-        f"{name} has {triangles:,} triangles, but the {known.name} that is to be had at "
+        f"{name} has {triangles:,} triangles, but the {known.name} that is available at "
         f"{known.where} has {known.triangles:,}: another version, so figures will differ"
     ]
 
@@ -71,13 +71,13 @@ def _is_scene(path: Path) -> bool:
     return path.suffix.lower().lstrip(".") in {"xml", *mesh_formats()}
 
 
-def paper_comparison(records: Records, found: pd.DataFrame) -> pd.DataFrame:
+def paper_comparison(records: Records, correlations: pd.DataFrame) -> pd.DataFrame:
     """Published figures beside measured ones, for the studied scenes that are the paper's.
 
     Parameters
     ----------
     records : sequence of SceneRecord
-    found : DataFrame
+    correlations : DataFrame
         From :func:`mibvh.studies.analyse.correlations.correlations`.
 
     Returns
@@ -86,7 +86,9 @@ def paper_comparison(records: Records, found: pd.DataFrame) -> pd.DataFrame:
         Columns ``scene, triangles, expected, r_sah, paper_r_sah, r_sah_epo, paper_r_sah_epo,
         alpha, paper_alpha``; r is with scalar ns/ray.
     """
-    scalar = found[found["measurement"] == "scalar_ns"].set_index(["scene", "predictor"])
+    scalar = correlations[correlations["measurement"] == "scalar_ns"].set_index(
+        ["scene", "predictor"]
+    )
     rows = []
     for record in records:
         known = find_paper_scene(record.scene)

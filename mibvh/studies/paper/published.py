@@ -30,7 +30,7 @@ class PaperScene:
     where, url : str or None
         Where the model is to be had.
     triangles : int or None
-        Of the file that is to be had there; the paper's own count may differ.
+        Of the file that is available there; the paper's own count may differ.
     r_sah, r_sah_epo : float or None
         Pearson's r with scalar ns/ray over nine builders, for SAH and for SAH + EPO.
     alpha : float or None

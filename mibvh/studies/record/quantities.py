@@ -2,7 +2,7 @@
 
 Those of the tree alone are declared by the metrics (``mibvh/metrics/cost.py``, ``shape.py``), those
 of an experiment by the experiment. Every column of the tables of trees, every measurement of
-``results.parquet`` and everything that predictors are held against comes from here.
+``results.parquet`` and everything that predictors are compared with comes from here.
 """
 
 from __future__ import annotations
@@ -204,5 +204,5 @@ def columns(main: bool = False) -> list[Quantity]:
 
 
 def targets() -> list[Quantity]:
-    """Return the measurements that predictors are held against, in the order of the tables."""
+    """Return the measurements that predictors are compared with, in the order of the tables."""
     return [quantity for quantity in columns() if quantity.target]

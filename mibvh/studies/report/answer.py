@@ -17,16 +17,16 @@ from mibvh.studies.report.tables.prediction import NAMED
 _FEW = 4
 
 
-def answer(records: Records, found: pd.DataFrame) -> list[str]:
+def answer(records: Records, correlations: pd.DataFrame) -> list[str]:
     """Return the findings in ten lines at most.
 
     Parameters
     ----------
     records : sequence of SceneRecord
-    found : DataFrame
+    correlations : DataFrame
         From :func:`mibvh.studies.analyse.correlations.correlations`.
     """
-    return [*_best(records), *_predicted(found), *_why(found)]
+    return [*_best(records), *_predicted(correlations), *_why(correlations)]
 
 
 def _best(records: Records) -> Iterator[str]:
@@ -35,9 +35,9 @@ def _best(records: Records) -> Iterator[str]:
         for record in records:
             yield f"{record.scene}: {winner(record)} (counted cost)"
         return
-    found = wins(records)
-    told = ", ".join(f"{name} in {count}" for name, count in found.items())
-    open_ = len(records) - sum(found.values())
+    won = wins(records)
+    told = ", ".join(f"{name} in {count}" for name, count in won.items())
+    open_ = len(records) - sum(won.values())
     tied = f"; in {open_} the first two are within their errors" if open_ else ""
     yield f"Best by counted cost, of {len(records)} scenes: {told or 'none for sure'}{tied}"
     over = list(mean_cost_over_best(records).items())[:3]
@@ -46,11 +46,11 @@ def _best(records: Records) -> Iterator[str]:
         yield f"Over the scene's best on average: {told}"
 
 
-def _predicted(found: pd.DataFrame) -> Iterator[str]:
+def _predicted(correlations: pd.DataFrame) -> Iterator[str]:
     """How well each named predictor did."""
-    table = overview(found)
+    table = overview(correlations)
     for one in predictors():
-        if one.name not in NAMED or one.name not in set(found["predictor"]):
+        if one.name not in NAMED or one.name not in set(correlations["predictor"]):
             continue
         of = [table.loc[(measured, one.name)] for measured in ("counted_cost", SCALAR.ns)]
         counted, timed = (f"{row['mean']:.3f} (worst {row['min']:.3f})" for row in of)
@@ -59,9 +59,11 @@ def _predicted(found: pd.DataFrame) -> Iterator[str]:
             yield f"{one.name}: r with counted cost {counted}{with_time}"
 
 
-def _why(found: pd.DataFrame) -> Iterator[str]:
+def _why(correlations: pd.DataFrame) -> Iterator[str]:
     """What the fitted weights say of where the cost comes from."""
-    of = found[(found["predictor"] == "fitted") & (found["measurement"] == "counted_cost")]
+    of = correlations[
+        (correlations["predictor"] == "fitted") & (correlations["measurement"] == "counted_cost")
+    ]
     alpha = of["alpha"].dropna()
     if len(alpha):
         range_ = (

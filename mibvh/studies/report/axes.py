@@ -81,10 +81,18 @@ class Panel:
     """
 
     def __init__(
-        self, sheet: Drawing, part: Part, x: Sequence[float], y: Sequence[float], *,
-        title: str = "", labels: Sequence[str] = ("", ""), log: Sequence[bool] = (False, False),
-        ticks: Sequence[bool] = (True, True), margins: Sequence[float] = MARGINS,
-    ) -> None:  # fmt: skip
+        self,
+        sheet: Drawing,
+        part: Part,
+        x: Sequence[float],
+        y: Sequence[float],
+        *,
+        title: str = "",
+        labels: Sequence[str] = ("", ""),
+        log: Sequence[bool] = (False, False),
+        ticks: Sequence[bool] = (True, True),
+        margins: Sequence[float] = MARGINS,
+    ) -> None:
         left, right, bottom, top = margins
         self.sheet, self.part = sheet, part
         self._x0, self._x1 = part.x + left, part.x + part.width - right
@@ -125,15 +133,31 @@ class Panel:
                 Words(x=self._x0 - 4, y=y, text=_number(value), size=_TICK, anchor="end"),
             )
 
-    def line(self, x: npt.ArrayLike, y: npt.ArrayLike, *, colour: str = _GREY,
-             width: float = 1.0, opacity: float = 1.0) -> None:  # fmt: skip
+    def line(
+        self,
+        x: npt.ArrayLike,
+        y: npt.ArrayLike,
+        *,
+        colour: str = _GREY,
+        width: float = 1.0,
+        opacity: float = 1.0,
+    ) -> None:
         """Draw a line through points."""
         points = np.stack([self.x(x), self.y(y)], axis=1)
         self.sheet.add(Stroke(points=points, colour=colour, width=width, opacity=opacity))
 
-    def dots(self, x: npt.ArrayLike, y: npt.ArrayLike, owners: Sequence[str], tips: Sequence[str],
-             places: Sequence[int], *, size: float = 6.5, shapes: bool = True,
-             opacity: float = 1.0) -> None:  # fmt: skip
+    def dots(
+        self,
+        x: npt.ArrayLike,
+        y: npt.ArrayLike,
+        owners: Sequence[str],
+        tips: Sequence[str],
+        places: Sequence[int],
+        *,
+        size: float = 6.5,
+        shapes: bool = True,
+        opacity: float = 1.0,
+    ) -> None:
         """Draw a point per builder.
 
         Parameters
@@ -151,9 +175,17 @@ class Panel:
             if np.isfinite(px + py):
                 shape = SHAPES[i % len(SHAPES)] if shapes else "o"
                 self.sheet.add(
-                    Dot(x=float(px), y=float(py), shape=shape, size=size, owner=owner, tip=tip,
-                        colour=builder_colour(i), opacity=opacity)
-                )  # fmt: skip
+                    Dot(
+                        x=float(px),
+                        y=float(py),
+                        shape=shape,
+                        size=size,
+                        owner=owner,
+                        tip=tip,
+                        colour=builder_colour(i),
+                        opacity=opacity,
+                    )
+                )
 
     def hollow(self, x: npt.ArrayLike, y: npt.ArrayLike) -> None:
         """Draw small grey outlines."""
@@ -179,9 +211,15 @@ class Panel:
         points = np.stack([self.x(np.asarray(x)[known]), self.y(np.asarray(y)[known])], axis=1)
         dash = DASHES[i % len(DASHES)]
         self.sheet.add(
-            Stroke(points=points, colour=builder_colour(i), width=1.5, owner=owner, tip=tip,
-                   dash=() if isinstance(dash, str) else tuple(1.5 * d for d in dash[1]))
-        )  # fmt: skip
+            Stroke(
+                points=points,
+                colour=builder_colour(i),
+                width=1.5,
+                owner=owner,
+                tip=tip,
+                dash=() if isinstance(dash, str) else tuple(1.5 * d for d in dash[1]),
+            )
+        )
 
 
 def _number(value: float) -> str:

@@ -208,21 +208,36 @@ def _artist(mark: Any, sheet: Drawing) -> Any:
     colour = _DARK if mark.colour == INK else mark.colour
     if isinstance(mark, Words):
         return Text(
-            mark.x / sheet.width, 1 - mark.y / sheet.height, literal(mark.text),
-            fontsize=mark.size, color=colour, alpha=mark.opacity,
+            mark.x / sheet.width,
+            1 - mark.y / sheet.height,
+            literal(mark.text),
+            fontsize=mark.size,
+            color=colour,
+            alpha=mark.opacity,
             ha={"start": "left", "middle": "center", "end": "right"}[mark.anchor],
-            va="center", rotation=-mark.turn, rotation_mode="anchor",
+            va="center",
+            rotation=-mark.turn,
+            rotation_mode="anchor",
             fontweight="bold" if mark.strong else "normal",
-        )  # fmt: skip
+        )
     if isinstance(mark, Stroke):
         x, y = mark.points.T
         style: Any = (0, tuple(d / mark.width for d in mark.dash)) if mark.dash else "solid"
         return Line2D(
-            x / sheet.width, 1 - y / sheet.height, color=colour, lw=mark.width, ls=style,
+            x / sheet.width,
+            1 - y / sheet.height,
+            color=colour,
+            lw=mark.width,
+            ls=style,
             alpha=mark.opacity,
-        )  # fmt: skip
+        )
     return Line2D(
-        [mark.x / sheet.width], [1 - mark.y / sheet.height], marker=mark.shape, ms=mark.size,
-        color=colour, mfc="none" if mark.hollow else colour, mec=colour if mark.hollow else "none",
+        [mark.x / sheet.width],
+        [1 - mark.y / sheet.height],
+        marker=mark.shape,
+        ms=mark.size,
+        color=colour,
+        mfc="none" if mark.hollow else colour,
+        mec=colour if mark.hollow else "none",
         alpha=mark.opacity,
-    )  # fmt: skip
+    )

@@ -114,12 +114,15 @@ def _winner_row(
         place, first = places[tree.builder], tree.builder == best.builder
         sheet.add(
             Dot(
-                x=_BEGIN + min(over / most, 1.0) * (_END - _BEGIN), y=y,
-                size=10.0 if first else 7.0, colour=builder_colour(place), owner=tree.builder,
+                x=_BEGIN + min(over / most, 1.0) * (_END - _BEGIN),
+                y=y,
+                size=10.0 if first else 7.0,
+                colour=builder_colour(place),
+                owner=tree.builder,
                 tip=f"{record.scene}: {tree.builder}, counted cost {tree['counted_cost']:.4g}, "
                 f"+{over:.1%} over the best",
             )
-        )  # fmt: skip
+        )
 
 
 def _winner_words(record: SceneRecord, best: Winner) -> str:
@@ -170,9 +173,13 @@ def _lines(known: list, place: int, name: str) -> tuple[F64, F64, float, float]:
 
 
 def _multiple(
-    sheet: Drawing, record: SceneRecord, found: tuple[F64, F64, float, float],
-    places: dict[str, int], part: Part, name: str,
-) -> None:  # fmt: skip
+    sheet: Drawing,
+    record: SceneRecord,
+    found: tuple[F64, F64, float, float],
+    places: dict[str, int],
+    part: Part,
+    name: str,
+) -> None:
     sah, main, r_sah, r_main = found
     measured = record.column("counted_cost")
     limits = limits_of(np.concatenate([sah, main, measured]), 0.08)
@@ -274,9 +281,15 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> Drawing:
     for part, target in zip(parts, held, strict=True):
         labels = ("Pearson's r over a scene's trees", "")
         panel = Panel(
-            sheet, part, limits, (len(names) - 0.5, -0.5), title=f"with {target.heading}",
-            labels=labels, ticks=(True, False), margins=margins,
-        )  # fmt: skip
+            sheet,
+            part,
+            limits,
+            (len(names) - 0.5, -0.5),
+            title=f"with {target.heading}",
+            labels=labels,
+            ticks=(True, False),
+            margins=margins,
+        )
         for i, name in enumerate(names):
             of = shown[(shown["measurement"] == target.name) & (shown["predictor"] == name)]
             _summary_row(panel, of, name, i, target)
@@ -286,11 +299,21 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> Drawing:
 def _summary_row(panel: Panel, of: pd.DataFrame, name: str, i: int, target: Quantity) -> None:
     y = float(panel.y(i))
     panel.sheet.add(Words(x=panel.part.x + 92, y=y, text=name, anchor="end"))
-    tips = [f"{s}: r = {r:.4f}, {name}, {target.heading}"
-            for s, r in zip(of["scene"], of["pearson"], strict=True)]  # fmt: skip
+    tips = [
+        f"{s}: r = {r:.4f}, {name}, {target.heading}"
+        for s, r in zip(of["scene"], of["pearson"], strict=True)
+    ]
     spread = np.linspace(-0.18, 0.18, len(of)) if len(of) > 1 else np.zeros(len(of))
-    panel.dots(of["pearson"].to_numpy(), i + spread, [""] * len(of), tips, [i] * len(of), size=4.5,
-               shapes=False, opacity=0.8)  # fmt: skip
+    panel.dots(
+        of["pearson"].to_numpy(),
+        i + spread,
+        [""] * len(of),
+        tips,
+        [i] * len(of),
+        size=4.5,
+        shapes=False,
+        opacity=0.8,
+    )
     if len(of):
         mean = float(panel.x(of["pearson"].mean()))
         ends = np.array([[mean, y - 9], [mean, y + 9]])
@@ -333,9 +356,13 @@ def remaining(record: SceneRecord, found: DepthResult) -> Drawing:
         f"SAH {tree['sah']:.4g} when all is split"
         for tree, values in zip(record.trees, left, strict=True)
     ]
-    titles = ("Worst-case triangle cost that remains", "log₂(splits + 1)"), (
-        "SAH of the tree cut at a depth", "depth",
-    )  # fmt: skip
+    titles = (
+        ("Worst-case triangle cost that remains", "log₂(splits + 1)"),
+        (
+            "SAH of the tree cut at a depth",
+            "depth",
+        ),
+    )
     for part, curves, (title, x) in zip(parts, (left, right), titles, strict=True):
         _curves(sheet, part, record, curves, tips, title, x, log=True)
     _legend(sheet, [tree.builder for tree in record.trees], 180.0)
@@ -343,17 +370,24 @@ def remaining(record: SceneRecord, found: DepthResult) -> Drawing:
 
 
 def _curves(
-    sheet: Drawing, part: Part, record: SceneRecord, curves: Sequence, tips: Sequence[str],
-    title: str, x: str, log: bool = False,
-) -> None:  # fmt: skip
+    sheet: Drawing,
+    part: Part,
+    record: SceneRecord,
+    curves: Sequence,
+    tips: Sequence[str],
+    title: str,
+    x: str,
+    log: bool = False,
+) -> None:
     values = np.concatenate([np.asarray(c, np.float64) for c in curves] or [np.zeros(1)])
     known = values[np.isfinite(values) & ((values > 0) | (not log))]
     y = limits_of(known)
     if log and len(known):
         y = (float(known.min()) / 1.15, float(known.max()) * 1.15)
     longest = max((len(c) for c in curves), default=1)
-    panel = Panel(sheet, part, (0, max(longest - 1, 1)), y, title=title, labels=(x, "cost"),
-                  log=(False, log))  # fmt: skip
+    panel = Panel(
+        sheet, part, (0, max(longest - 1, 1)), y, title=title, labels=(x, "cost"), log=(False, log)
+    )
     for i, (tree, curve, tip) in enumerate(zip(record.trees, curves, tips, strict=True)):
         panel.curve(np.arange(len(curve)), curve, tree.builder, tip, i)
 
@@ -386,8 +420,9 @@ def rotation(factors: pd.DataFrame) -> Drawing:
         ends = [max(panel.x.low, panel.y.low), min(panel.x.high, panel.y.high)]
         if len(known) and ends[0] < ends[1]:
             panel.line(ends, ends)
-        panel.dots(x, y, list(factors["builder"]), tips, place, size=4.5, shapes=False,
-                   opacity=0.85)  # fmt: skip
+        panel.dots(
+            x, y, list(factors["builder"]), tips, place, size=4.5, shapes=False, opacity=0.85
+        )
     return sheet
 
 
@@ -404,17 +439,24 @@ def swept(sweep: Sweep) -> Drawing:
         columns = [sweep.column(name) for name in names]
         title = " and ".join(known[n].heading for n in names)
         panel = Panel(
-            sheet, part, limits_of(np.asarray(sweep.values, np.float64)),
-            limits_of(np.concatenate(columns)), title=title, labels=(sweep.option, "cost"),
-        )  # fmt: skip
+            sheet,
+            part,
+            limits_of(np.asarray(sweep.values, np.float64)),
+            limits_of(np.concatenate(columns)),
+            title=title,
+            labels=(sweep.option, "cost"),
+        )
         for i, (name, values) in enumerate(zip(names, columns, strict=True)):
             heading = known[name].heading
             panel.line(sweep.values, values, colour=builder_colour(i), width=1.2)
-            tips = [f"{tree.builder}: {heading} {y:.4g}"
-                    for tree, y in zip(sweep.trees, values, strict=True)]  # fmt: skip
+            tips = [
+                f"{tree.builder}: {heading} {y:.4g}"
+                for tree, y in zip(sweep.trees, values, strict=True)
+            ]
             owners = [tree.builder for tree in sweep.trees]
-            panel.dots(sweep.values, values, owners, tips, [i] * len(owners), size=4.5,
-                       shapes=False)  # fmt: skip
+            panel.dots(
+                sweep.values, values, owners, tips, [i] * len(owners), size=4.5, shapes=False
+            )
             at = float(panel.x(sweep.values[-1])), float(panel.y(values[-1]))
             if len(names) > 1:
                 sheet.add(Words(x=at[0] - 4, y=at[1] - 7, text=heading, anchor="end"))

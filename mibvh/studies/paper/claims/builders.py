@@ -18,7 +18,7 @@ from mibvh.studies.record.scene import Records
 _TOPIC = "builders"
 
 
-def builder_claims(records: Records, found: pd.DataFrame) -> Iterator[Claim]:
+def builder_claims(records: Records, correlations: pd.DataFrame) -> Iterator[Claim]:
     """Judge the claims on SAH and EPO of the builders."""
     yield from _of_epo(records)
     best = relative_to_best(records, without=splitting_builders(records))
@@ -89,7 +89,7 @@ def _above_the_best() -> str:
     )
 
 
-def depth_claims(records: Records, found: pd.DataFrame) -> Iterator[Claim]:
+def depth_claims(records: Records, correlations: pd.DataFrame) -> Iterator[Claim]:
     """Judge the claim on the worst case that remains as a tree goes down."""
     remaining = remaining_relative(records)
     splitting = splitting_builders(records)

@@ -16,14 +16,14 @@ from mibvh.studies.record.scene import Records
 _TOPIC = "prediction"
 
 
-def prediction_claims(records: Records, found: pd.DataFrame) -> Iterator[Claim]:
+def prediction_claims(records: Records, correlations: pd.DataFrame) -> Iterator[Claim]:
     """Judge the claims by times where they are known well enough, otherwise by counted cost."""
     by_time = steady(records, SCALAR)
     target, by = (SCALAR.ns, "") if by_time else ("counted_cost", BY_COUNT)
-    of_target = found[found["measurement"] == target]
-    yield from _by_sah(overview(found), of_target, target, by)
-    yield from _by_both(overview(found), target, by)
-    yield _alpha(found)
+    of_target = correlations[correlations["measurement"] == target]
+    yield from _by_sah(overview(correlations), of_target, target, by)
+    yield from _by_both(overview(correlations), target, by)
+    yield _alpha(correlations)
 
 
 def _by_sah(
@@ -80,9 +80,11 @@ def _by_both(summary: pd.DataFrame, target: str, by: str) -> Iterator[Claim]:
     )
 
 
-def _alpha(found: pd.DataFrame) -> Claim:
-    fitted = (found["measurement"] == "counted_cost") & (found["predictor"] == "fitted")
-    alpha = found.loc[fitted, "alpha"].dropna()
+def _alpha(correlations: pd.DataFrame) -> Claim:
+    fitted = (correlations["measurement"] == "counted_cost") & (
+        correlations["predictor"] == "fitted"
+    )
+    alpha = correlations.loc[fitted, "alpha"].dropna()
     known = [scene.alpha for scene in published().known_scenes if scene.alpha is not None]
     return Claim(
         topic=_TOPIC,

@@ -16,7 +16,7 @@ from mibvh.studies.record.scene import Records
 _TOPIC = "rotation"
 
 
-def rotation_claims(records: Records, found: pd.DataFrame) -> Iterator[Claim]:
+def rotation_claims(records: Records, correlations: pd.DataFrame) -> Iterator[Claim]:
     """Judge the claims by the mean factors of the scenes."""
     factors = rotation_factors(records).drop(columns="builder")
     mean = factors.groupby("scene").mean()

@@ -37,7 +37,7 @@ _TOPIC = "SIMD"
 _LOW, _HIGH = 0.05, 0.10
 
 
-def simd_claims(records: Records, found: pd.DataFrame) -> Iterator[Claim]:
+def simd_claims(records: Records, correlations: pd.DataFrame) -> Iterator[Claim]:
     """Judge the claims; those on times only where times are known well enough."""
     timed = steady(records, SCALAR) and steady(records, SIMD)
     warps = f"; simulated warps, {warp_rules(records)}"
@@ -46,8 +46,8 @@ def simd_claims(records: Records, found: pd.DataFrame) -> Iterator[Claim]:
     yield _simulated_deviation(records, warps)
     yield _timed_deviation(records, timed)
     yield _by_lcv(records, warps)
-    yield _simulated_with_lcv(found, warps)
-    yield _timed_with_lcv(found, timed)
+    yield _simulated_with_lcv(correlations, warps)
+    yield _timed_with_lcv(correlations, timed)
 
 
 def _lowest(records: Records) -> Claim:
@@ -136,9 +136,9 @@ def _timed_deviation(records: Records, timed: bool) -> Claim:
     )
 
 
-def _simulated_with_lcv(found: pd.DataFrame, warps: str) -> Claim:
+def _simulated_with_lcv(correlations: pd.DataFrame, warps: str) -> Claim:
     return _with_lcv(
-        found,
+        correlations,
         "warp_cost",
         "counted_cost",
         "with LCV, the cost of simulated warps is predicted as well as scalar cost",
@@ -147,9 +147,9 @@ def _simulated_with_lcv(found: pd.DataFrame, warps: str) -> Claim:
     )
 
 
-def _timed_with_lcv(found: pd.DataFrame, timed: bool) -> Claim:
+def _timed_with_lcv(correlations: pd.DataFrame, timed: bool) -> Claim:
     return _with_lcv(
-        found,
+        correlations,
         SIMD.ns,
         SCALAR.ns,
         "with LCV, SIMD time is predicted as well as scalar time",
@@ -159,9 +159,9 @@ def _timed_with_lcv(found: pd.DataFrame, timed: bool) -> Claim:
 
 
 def _with_lcv(
-    found: pd.DataFrame, simd: str, scalar: str, claim: str, by: str, steady: bool
+    correlations: pd.DataFrame, simd: str, scalar: str, claim: str, by: str, steady: bool
 ) -> Claim:
-    summary = overview(found)
+    summary = overview(correlations)
     r = summary["mean"]
     alone = r[(scalar, "fitted")]
     without, own, others = (r[(simd, n)] for n in ("fitted", "with LCV", "LCV from others"))

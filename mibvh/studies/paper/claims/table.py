@@ -8,13 +8,13 @@ from mibvh.studies.record.experiment import experiments
 from mibvh.studies.record.scene import Records
 
 
-def claims(records: Records, found: pd.DataFrame) -> pd.DataFrame:
+def claims(records: Records, correlations: pd.DataFrame) -> pd.DataFrame:
     """Judge the claims of all experiments.
 
     Parameters
     ----------
     records : sequence of SceneRecord
-    found : DataFrame
+    correlations : DataFrame
         From :func:`mibvh.studies.analyse.correlations.correlations`.
 
     Returns
@@ -22,7 +22,7 @@ def claims(records: Records, found: pd.DataFrame) -> pd.DataFrame:
     DataFrame
         Columns ``claim, held, paper, ours, judged by``; topic by topic.
     """
-    judged = [claim for e in experiments() for claim in e.claims(records, found)]
+    judged = [claim for e in experiments() for claim in e.claims(records, correlations)]
     return pd.DataFrame(
         [
             {

@@ -17,23 +17,23 @@ from mibvh.studies.report.tables.trees import tree_sheet
 from mibvh.studies.report.tables.warps import warp_sheets
 
 
-def answers(records: Records, found: pd.DataFrame) -> list[Sheet]:
+def answers(records: Records, correlations: pd.DataFrame) -> list[Sheet]:
     """Return all tables over the scenes.
 
     Parameters
     ----------
     records : sequence of SceneRecord
-    found : DataFrame
+    correlations : DataFrame
         From :func:`mibvh.studies.analyse.correlations.correlations`.
     """
     return [
-        *claim_sheets(records, found),
-        *prediction_sheets(records, found),
+        *claim_sheets(records, correlations),
+        *prediction_sheets(records, correlations),
         *warp_sheets(records),
         *builder_sheets(records),
         *(sheet for experiment in experiments() for sheet in experiment.sheets(records)),
         *step_sheets(records),
-        *instrument_sheets(records, found),
+        *instrument_sheets(records, correlations),
         *audit_sheets(records),
         tree_sheet(records),
     ]

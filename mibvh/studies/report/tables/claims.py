@@ -13,9 +13,9 @@ from mibvh.studies.record.sheet import Column, Sheet
 SECTION = "The paper's claims"
 
 
-def claim_sheets(records: Records, found: pd.DataFrame) -> list[Sheet]:
+def claim_sheets(records: Records, correlations: pd.DataFrame) -> list[Sheet]:
     """Return the table of claims, and that of the paper's scenes if it has rows."""
-    frame = claims(records, found)
+    frame = claims(records, correlations)
     sheet = Sheet(
         name="claims",
         section=SECTION,
@@ -28,7 +28,7 @@ def claim_sheets(records: Records, found: pd.DataFrame) -> list[Sheet]:
         columns=[Column(str(key)) for key in frame],
         unfolded=True,
     )
-    compared = paper_comparison(records, found)
+    compared = paper_comparison(records, correlations)
     return [sheet, _scenes(compared)] if len(compared) else [sheet]
 
 

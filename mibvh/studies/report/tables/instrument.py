@@ -29,9 +29,9 @@ _STAGES = {
 }
 
 
-def instrument_sheets(records: Records, found: pd.DataFrame) -> list[Sheet]:
+def instrument_sheets(records: Records, correlations: pd.DataFrame) -> list[Sheet]:
     """Return the tables of the stopwatch, of its noise, and of the seconds spent."""
-    return [_stopwatch(records), _noise(records, found), _seconds(records)]
+    return [_stopwatch(records), _noise(records, correlations), _seconds(records)]
 
 
 def _stopwatch(records: Records) -> Sheet:
@@ -75,8 +75,8 @@ def _stopwatch(records: Records) -> Sheet:
     )
 
 
-def _noise(records: Records, found: pd.DataFrame) -> Sheet:
-    table = noise_table(records, found)
+def _noise(records: Records, correlations: pd.DataFrame) -> Sheet:
+    table = noise_table(records, correlations)
     frame = pd.DataFrame({"scene": table["scene"].unique()})
     columns = [Column("scene")]
     for lanes in LANES:
@@ -125,5 +125,5 @@ def _from_folder(records: Records) -> str:
     reused: Counter[str] = Counter()
     for record in records:
         reused.update(record.reused)
-    found = ", ".join(f"{stage} ({count})" for stage, count in reused.items() if count)
-    return f"Taken from the study's folder in the last run: {found or 'nothing'}."
+    pieces = ", ".join(f"{stage} ({count})" for stage, count in reused.items() if count)
+    return f"Taken from the study's folder in the last run: {pieces or 'nothing'}."

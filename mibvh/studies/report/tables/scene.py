@@ -25,16 +25,16 @@ _AGREEMENT = (
 )
 
 
-def scene_answers(record: SceneRecord, found: pd.DataFrame) -> list[Sheet]:
+def scene_answers(record: SceneRecord, correlations: pd.DataFrame) -> list[Sheet]:
     """Return the tables of one scene.
 
     Parameters
     ----------
     record : SceneRecord
-    found : DataFrame
+    correlations : DataFrame
         From :func:`mibvh.studies.analyse.correlations.correlations`.
     """
-    return [_trees(record), _agreement(record, found)]
+    return [_trees(record), _agreement(record, correlations)]
 
 
 def _trees(record: SceneRecord) -> Sheet:
@@ -59,8 +59,8 @@ def _trees(record: SceneRecord) -> Sheet:
     )
 
 
-def _agreement(record: SceneRecord, found: pd.DataFrame) -> Sheet:
-    of = found[found["scene"] == record.scene]
+def _agreement(record: SceneRecord, correlations: pd.DataFrame) -> Sheet:
+    of = correlations[correlations["scene"] == record.scene]
     headings = {target.name: target.heading for target in targets()}
     return Sheet(
         name=f"{record.scene}-agreement",
