@@ -14,9 +14,9 @@ ROOT = Path(mibvh.__file__).parent
 #: with the longest prefix of its name.
 ROOMS = [
     ["triangles"],
-    ["tree", "nodes", "hierarchy", "validation", "layouts"],
+    ["tree", "nodes", "hierarchy", "validation", "layouts.arrays"],
     ["measures"],
-    ["wide_tree", "wide_validation", "collapsing", "quantise"],
+    ["wide_tree", "wide_validation", "collapsing", "quantise", "layouts"],
     ["builders"],
     ["metrics"],
     ["rays.rayset", "rays.read", "rays.order", "rays.mixture"],
