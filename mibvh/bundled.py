@@ -14,6 +14,7 @@ import platformdirs
 from mibvh.errors import MibvhError, did_you_mean
 from mibvh.files import make_folder, write_text
 from mibvh.loading import printable
+from mibvh.memory import BYTES, require_memory
 from mibvh.ranges import check
 
 
@@ -93,6 +94,8 @@ def make_scene(
         If there is no bundled scene of that name, or a number is out of range.
     """
     _check(name, triangles, seed)
+    size = triangles or scenes_package().CATALOGUE[name].triangles
+    require_memory(size * BYTES["generate"], f"{name}: the {size:,} triangles to be generated")
     make_folder(target)
     try:
         return Path(scenes_package().write(name, target, triangles, seed))
@@ -138,6 +141,8 @@ def bundled_scene(name: str, triangles: int | None = None, seed: int | None = No
             raise MibvhError(f"{name}: after the @, write the number of triangles")
         triangles = int(size)
     _check(base, triangles, seed)
+    count = triangles or scenes_package().CATALOGUE[base].triangles
+    require_memory(count * BYTES["load"], f"{name}: its {count:,} triangles")
     label = base + (f"@{triangles}" if triangles else "") + (f"+{seed}" if seed is not None else "")
     target = cache_folder() / "scenes" / label
     # scene.json is written last.

@@ -122,6 +122,7 @@ class BinnedOptions(Options):
     summary="top-down SAH over 16 bins of box centres per axis",
     source="Wald 2007",
     options=BinnedOptions,
+    memory=130,
 )
 def binned(triangles: Triangles, options: BinnedOptions, context: Context) -> Draft:
     """Build the binned SAH tree; O(n log n), on one thread."""

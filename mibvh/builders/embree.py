@@ -384,6 +384,7 @@ def embree_wide(triangles: Triangles, options: EmbreeOptions, width: int) -> Wid
     source="Wald et al. 2014",
     options=EmbreeOptions,
     wide=embree_wide,
+    memory=330,
 )
 def embree(triangles: Triangles, options: EmbreeOptions, context: Context) -> Draft:
     """Let Embree build down to single references."""

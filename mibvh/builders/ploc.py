@@ -130,6 +130,7 @@ class PlocOptions(Options):
     summary="bottom-up: merge what is nearest to each other within 16 places of the Morton order",
     source="Meister and Bittner 2018; Benthin et al. 2024",
     options=PlocOptions,
+    memory=130,
 )
 def ploc(triangles: Triangles, options: PlocOptions, context: Context) -> Draft:
     """Build the PLOC tree; O(n radius), on one thread."""

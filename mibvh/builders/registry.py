@@ -16,6 +16,7 @@ from mibvh.builders.sharing import share, spared
 from mibvh.code import code_digest
 from mibvh.errors import MibvhError, did_you_mean
 from mibvh.measures import Area, Measure
+from mibvh.memory import require_memory, require_references
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles, as_triangles
 from mibvh.version import __version__
@@ -125,6 +126,8 @@ class Context:
 
 
 BuildFunction = Callable[[Any, Any, Context], Any]
+#: Bytes per triangle that a builder takes at most, where it does not state them.
+DEFAULT_MEMORY = 600.0
 WideFunction = Callable[[Any, Any, int], WideTree]
 
 
@@ -149,6 +152,8 @@ class Builder:
         makes wide trees itself.
     traces : bool
         Whether it asks the scene for rays, so that its trees depend on the cameras.
+    memory : float
+        Bytes per triangle that a build takes at most, with the default options.
     """
 
     name: str
@@ -159,6 +164,7 @@ class Builder:
     version: str | None = None
     wide: WideFunction | None = None
     traces: bool = False
+    memory: float = DEFAULT_MEMORY
 
     @property
     def asks_scene(self) -> bool:
@@ -180,6 +186,30 @@ class Builder:
                 f"{did_you_mean(unknown[0], known)}; it has: {', '.join(sorted(known))}"
             )
         return self.options(**given)
+
+    def references(self, triangles: int, options: Options) -> int:
+        """How many references a tree of so many triangles may have."""
+        budget = getattr(options, "budget", 0.0) + getattr(options, "beta", 0.0)
+        return int(triangles * (1.0 + budget) * (1.0 + options.presplit))
+
+    def memory_of(self, triangles: int, options: Options) -> float:
+        """Bytes that building a tree of so many triangles takes at most."""
+        default = self.references(triangles, self.options())
+        own = self.memory * triangles * self.references(triangles, options) / max(default, 1)
+        starts = (getattr(options, name, None) for name in ("start", "base"))
+        others = [get(name) for name in starts if name in all_names() and name != self.name]
+        return max(own, *(o.memory_of(triangles, o.start_options(options)) for o in others), 0.0)
+
+    def check_room(self, triangles: Triangles, options: Options) -> None:
+        """Refuse a build that memory, or the numbering of nodes, is too small for.
+
+        Raises
+        ------
+        MibvhError
+        """
+        what = f"{len(triangles):,} triangles of {triangles.name}, for builder {self.name},"
+        require_references(self.references(len(triangles), options), what)
+        require_memory(self.memory_of(len(triangles), options), what)
 
     def start_options(self, of: Options) -> Options:
         """Options for a tree that a builder with these options starts from."""
@@ -271,6 +301,7 @@ def builder(
     version: str | None = None,
     wide: WideFunction | None = None,
     traces: bool = False,
+    memory: float = DEFAULT_MEMORY,
 ) -> Callable[[BuildFunction], BuildFunction]:
     """Register a builder; the study and the command line take it like the paper's own.
 
@@ -291,6 +322,9 @@ def builder(
         :func:`mibvh.build_wide` calls instead of collapsing the builder's binary tree.
     traces : bool
         Whether it asks the scene for rays (:attr:`Context.source`).
+    memory : float
+        Bytes per triangle that a build takes at most, with the default options: one that memory
+        is too small for is refused before it begins.
 
     Returns
     -------
@@ -313,7 +347,9 @@ def builder(
     """
 
     def register(function: BuildFunction) -> BuildFunction:
-        _registered[name] = Builder(name, summary, source, options, function, version, wide, traces)
+        _registered[name] = Builder(
+            name, summary, source, options, function, version, wide, traces, memory
+        )
         return function
 
     return register
@@ -366,18 +402,19 @@ def next_to_nothing() -> Triangles:
 
 
 def _warm_up(name: str, progress: Callable[[str, float], None]) -> None:
-    """Run one of the paper's builders once on next to nothing.
+    """Run a builder of this package, or what finishes a user's draft, once on next to nothing.
 
     So the seconds reported for a tree hold no compilation, nor the loading of compiled code.
     """
     if name in _warm:
         return
     progress("compiling", 0.0)
+    triangles, entry = next_to_nothing(), get(name)
     if name in _BUNDLED or name in _LATER:
-        triangles, entry = next_to_nothing(), get(name)
-        chosen = entry.options()
-        draft = entry.draft(triangles, chosen, Context())
-        finish(draft, c_inner=1.2, c_tri=1.0, max_leaf=8, meta={"triangles": len(triangles)})
+        draft = entry.draft(triangles, entry.options(), Context())
+    else:
+        draft = Draft.from_nested(np.arange(len(triangles)), triangles)
+    finish(draft, c_inner=1.2, c_tri=1.0, max_leaf=8, meta={"triangles": len(triangles)})
     _warm.add(name)
 
 
@@ -428,6 +465,7 @@ def build(
     source, triangles = triangles, as_triangles(triangles)
     entry = get(builder)
     chosen = entry.options_of(options)
+    entry.check_room(triangles, chosen)
     context = Context(progress or Context.progress, measure or _AREA, source)
     _warm_up(builder, context.progress)
     context.progress("building", 0.0)

@@ -60,6 +60,7 @@ def build_wide(
         binary = build(source, builder, progress=progress, **{**options, "max_leaf": 1})
         tree = collapse(binary, width, max_leaf=chosen.max_leaf)
         return tree.replace(meta={**tree.meta, "options": dataclasses.asdict(chosen)})
+    entry.check_room(triangles, chosen)
     report = progress or Context.progress
     report("compiling", 0.0)
     _warm_up(entry, width)

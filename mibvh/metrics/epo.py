@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
+from mibvh.memory import BYTES, require_memory
 from mibvh.metrics.overlap_walk import Nodes, walk, workspace
 from mibvh.metrics.points import epo_at_ends, estimate_epo, triangle_positions
 from mibvh.metrics.sah import node_costs
@@ -124,6 +125,8 @@ def overlap(
     box = np.concatenate([tree.lower, tree.upper], axis=1).ravel()
     nodes = Nodes(box, tree.left, tree.first, tree.count)
     workers = threads or thread_count()
+    needed = (BYTES["epo"] + 16.0 * workers) * len(tree.references)  # nodes have a sum per worker
+    require_memory(needed, f"{len(tree.references):,} references, for their EPO,")
     sums = np.zeros((workers, len(tree)), np.int64)
     counts = np.zeros((workers, 3), np.int64)
     work_on = [workspace(tree.depth) for _ in range(workers)]

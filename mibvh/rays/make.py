@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mibvh.errors import MibvhError
+from mibvh.memory import BYTES, require_memory
 from mibvh.ranges import check
 from mibvh.rays.kinds import Kind, KindOptions, kind_named
 from mibvh.rays.order import morton_order
@@ -117,6 +118,9 @@ def collect(
     width, height, samples, seed = film.width, film.height, film.samples, film.seed
     check(seed=seed)
     views = _checked(scene, film.viewpoints, width=width, height=height, samples=samples)
+    primary = views * width * height * samples
+    needed = ray_memory(primary, max(0, last - max(first, 1)))
+    require_memory(needed, f"{scene.name}: rays of {primary:,} camera rays")
     paths = Paths(scene)
     parts: list[RaySet] = []
     hits = self_hits = 0
@@ -143,7 +147,7 @@ def collect(
         "samples": samples,
         "viewpoints": views,
         "order": "morton" if film.sort else "path",
-        "primary_rays": views * width * height * samples,
+        "primary_rays": primary,
         "primary_hits": hits,
         "self_hits": self_hits,
     }
@@ -154,6 +158,19 @@ def collect(
             f"leave, more than {MOST_SELF_HITS:.1%}: float32 is too coarse for this geometry"
         )
     return rays.select(morton_order(rays, scene.triangles.bounds)) if film.sort else rays
+
+
+def ray_memory(primary: int, bounces: int = 0) -> float:
+    """Bytes that making rays takes at most.
+
+    Parameters
+    ----------
+    primary : int
+        Rays from cameras that they are made of.
+    bounces : int
+        Vertices of the paths, beyond one, that rays leave.
+    """
+    return primary * (BYTES["rays"] + BYTES["bounce"] * bounces)
 
 
 def _checked(scene: Scene, viewpoints: int | None, **sizes: int) -> int:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from mibvh.errors import MibvhError, expect
 from mibvh.files import check_columns, read_arrays, write_arrays
+from mibvh.memory import BYTES, require_memory
 from mibvh.ranges import check
 from mibvh.rays.rayset import RaySet
 from mibvh.traversal.child_order import ChildOrder, child_priority
@@ -418,6 +419,8 @@ def trace(
             raise MibvhError("a child order is for any-hit rays in the wide style")
         tree.check_matches(triangles)
         tree = _in_order(tree, triangles, child_order)
+    needed = BYTES["trace"] * len(rays) + BYTES["records"] * len(tree.references)
+    require_memory(needed, f"{len(rays):,} rays traced with counters")
     scale = float(unit_scale(triangles))
     tracer = Tracer(rays, scale, lanes, style=style, cull=cull, any_hit=any_hit)
     records = _cached_records(tree, triangles, tracer.layout, mitsuba().variant())

@@ -9,12 +9,14 @@ from collections.abc import Sequence
 
 from mibvh.code import code_digest
 from mibvh.environment import environment
+from mibvh.memory import used_memory
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene
 from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import RayCounter
 from mibvh.studies.measure.given import Given
 from mibvh.studies.measure.looks import scene_digest
+from mibvh.studies.measure.needs import Peaks, check_memory, predicted_memory
 from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import Store, key_of
@@ -73,8 +75,10 @@ def study_scene(
     asked = chosen(options.experiments)
     shares = _shares(asked)
     reporter = Reporter(listener, scene.name)
+    peaks = Peaks()
     store.begin()
-    setting, record = _predict(scene, options, store, given, reporter.of("", *shares[BASE]))
+    part = reporter.of("", *shares[BASE])
+    setting, record = _predict(scene, options, store, given, part, peaks)
     seconds = {_STAGES[kind]: spent for kind, spent in store.spent.items()}
     reused = {_STAGES[kind]: count for kind, count in store.reused.items()}
     results = {}
@@ -84,28 +88,44 @@ def study_scene(
         store.begin()
         part = reporter.of(experiment.name, *shares[experiment.name])
         if experiment.measure is not None:
-            results[experiment.name] = experiment.measure(setting, part)
+            with peaks.of(experiment.name):
+                results[experiment.name] = experiment.measure(setting, part)
         seconds[experiment.name] = sum(store.spent.values())
         reused[experiment.name] = store.reused.total()
     listener(Progress(scene.name, "", "done", None, 1.0))
-    return dataclasses.replace(record, results=results, seconds=seconds, reused=reused)
+    memory = {**record.memory, **peaks.found}
+    return dataclasses.replace(
+        record, results=results, seconds=seconds, reused=reused, memory=memory
+    )
 
 
 def _predict(
-    scene: Scene, options: StudyOptions, store: Store, given: Given, report: Reporter
+    scene: Scene,
+    options: StudyOptions,
+    store: Store,
+    given: Given,
+    report: Reporter,
+    peaks: Peaks,
 ) -> tuple[Setting, SceneRecord]:
     """Make the rays and the trees of a scene, count and time them."""
     machine = environment()
-    report("rays", 0.0)
-    rays = _rays(scene, options, store) if given.rays is None else given.rays
     sources = sources_of(options.builders or (), given.trees)
+    expected = used_memory() + check_memory(scene, predicted_memory(scene, options, sources, given))
+    report.expect(expected)
+    with peaks.of("rays"):
+        rays = _rays(scene, options, store) if given.rays is None else given.rays
     counter = RayCounter(scene, rays, options.cull, WarpRules(**options.warps()))
-    trees, rows = study_trees(sources, counter, store, report)
+    with peaks.of("trees"):
+        trees, rows = study_trees(sources, counter, store, report)
     own = given.rays is not None
     setting = Setting(scene, rays, trees, options, machine, store, sources, own_rays=own)
-    rows, timing = _time(setting, rows, report)
+    with peaks.of("stopwatch"):
+        rows, timing = _time(setting, rows, report)
     picture_key = key_of("mibvh.picture", scene=scene_digest(scene), cameras=cameras(scene))
-    picture = kept(store, f"picture-{picture_key}", _Picture, functools.partial(_picture, scene))
+    with peaks.of("picture"):
+        picture = kept(
+            store, f"picture-{picture_key}", _Picture, functools.partial(_picture, scene)
+        )
     return setting, SceneRecord(
         scene=scene.name,
         triangles=len(scene.triangles),
@@ -125,6 +145,7 @@ def _predict(
         picture=picture.png,
         seconds={},
         reused={},
+        memory={"predicted": expected},
         code=code_digest(__name__),
     )
 

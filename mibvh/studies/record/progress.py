@@ -22,6 +22,8 @@ class Progress:
         Whose tree is in hand; None for what concerns all trees.
     done : float
         From 0 to 1 within the scene.
+    memory : float or None
+        Bytes that the scene is expected to take at most, told once, before the first stage.
     """
 
     scene: str
@@ -29,6 +31,7 @@ class Progress:
     stage: str
     builder: str | None
     done: float
+    memory: float | None = None
 
     def __str__(self) -> str:
         words = [self.stage, self.builder, f"({self.experiment})" if self.experiment else None]
@@ -63,6 +66,11 @@ class Reporter:
         """Report that a stage of this part is reached, ``done`` from 0 to 1 within the part."""
         at = self.begin + self.share * done
         self.listener(Progress(self.scene, self.experiment, stage, self.builder, at))
+
+    def expect(self, memory: float) -> None:
+        """Report how many bytes the work is expected to take at most."""
+        step = Progress(self.scene, self.experiment, "rays", self.builder, self.begin, memory)
+        self.listener(step)
 
     def part(self, begin: float, share: float, builder: str | None = None) -> Reporter:
         """Return a reporter of a part of this part."""

@@ -185,6 +185,9 @@ class SceneRecord:
         How many pieces of each stage the last run took from the study's folder.
     code : str
         Hash of the code that measured the scene.
+    memory : dict of str to float
+        Bytes that the process had in use at most, by stage, in the last run; as ``predicted``, what
+        was expected of it all.
     results : dict of str to Result
         Of the experiments beside prediction that were run, by name.
     """
@@ -202,6 +205,7 @@ class SceneRecord:
     seconds: dict[str, float]
     reused: dict[str, int]
     code: str
+    memory: dict[str, float] = dataclasses.field(default_factory=dict)
     results: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -85,6 +85,8 @@ class Board:
                 self._write(step, left, now)
             elif self._bars:
                 self._draw(step, left)
+            elif step.memory is not None:
+                sys.stderr.write(f"{scene}: {_room(step.memory)}\n")
             elif done == 1.0:
                 sys.stderr.write(f"{scene}: {step.stage} ({self._finished} of {self._scenes})\n")
                 self._heartbeat.beat()
@@ -122,6 +124,8 @@ class Board:
         bars = self._bars
         if bars is None:
             return
+        if step.memory is not None:
+            bars.console.print(f"{step.scene}: {_room(step.memory)}", highlight=False)
         if step.scene not in self._tasks:
             self._tasks[step.scene] = bars.add_task(step.scene, total=1.0, left="")
         bars.update(
@@ -137,6 +141,10 @@ class Board:
             completed=sum(self._done.values()),
             left=_clock(left.all),
         )
+
+
+def _room(memory: float) -> str:
+    return f"expected to take {memory / 1e9:,.1f} GB of memory at most"
 
 
 class _Left(NamedTuple):

@@ -30,8 +30,9 @@ _STAGES = {
 
 
 def instrument_sheets(records: Records, correlations: pd.DataFrame) -> list[Sheet]:
-    """Return the tables of the stopwatch, of its noise, and of the seconds spent."""
-    return [_stopwatch(records), _noise(records, correlations), _seconds(records)]
+    """Return the tables of the stopwatch, of its noise, and of the seconds and memory spent."""
+    known = [_memory(records)] if any(record.memory for record in records) else []
+    return [_stopwatch(records), _noise(records, correlations), _seconds(records), *known]
 
 
 def _stopwatch(records: Records) -> Sheet:
@@ -117,6 +118,24 @@ def _seconds(records: Records) -> Sheet:
             *(Column(name, format=".1f", help=_STAGES.get(name, "")) for name in stages),
             Column("all", format=".1f"),
         ],
+    )
+
+
+def _memory(records: Records) -> Sheet:
+    rows = [
+        {"scene": record.scene, **{name: of / 1e9 for name, of in record.memory.items()}}
+        for record in records
+    ]
+    frame = pd.DataFrame(rows)
+    return Sheet(
+        name="memory",
+        section="Where the time of the study went",
+        title="GB that the study took",
+        note="The most that the process had in memory in each stage of the last run; pieces that "
+        "were in the study's folder take next to nothing. Predicted before the first stage: the "
+        "most of rays, trees and stopwatch.",
+        frame=frame,
+        columns=[Column("scene"), *(Column(str(n), format=".2f") for n in frame.columns[1:])],
     )
 
 

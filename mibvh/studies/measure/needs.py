@@ -1,0 +1,109 @@
+"""How much memory the study of a scene takes: predicted before it begins, and measured."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator, Mapping
+
+from mibvh.builders import get
+from mibvh.memory import BYTES, peak_memory, require_memory, require_references, reset_peak
+from mibvh.rays.make import ray_memory
+from mibvh.scene import Scene
+from mibvh.studies.measure.given import Given
+from mibvh.studies.measure.trees import TreeSource
+from mibvh.studies.record.options import StudyOptions
+
+
+@dataclasses.dataclass(frozen=True)
+class _TreeNeeds:
+    """Bytes that building a tree takes, and references that it is expected to have."""
+
+    build: float
+    references: float
+
+
+def predicted_memory(
+    scene: Scene, options: StudyOptions, sources: Mapping[str, TreeSource], given: Given
+) -> dict[str, float]:
+    """Bytes that each stage takes at most, beside what is in memory before.
+
+    Parameters
+    ----------
+    scene : Scene
+    options : StudyOptions
+    sources : mapping of str to TreeSource
+    given : Given
+
+    Raises
+    ------
+    MibvhError
+        If a tree may have more references than can be numbered.
+    """
+    trees = [_of_tree(source, scene) for source in sources.values()]
+    views = options.viewpoints or len(scene.sensors)
+    primary = views * options.width * options.height * options.samples
+    count = primary * options.bounces if given.rays is None else len(given.rays)
+    held = BYTES["tree"] * sum(tree.references for tree in trees)
+    largest = max((tree.references for tree in trees), default=0.0)
+    traced = BYTES["trace"] * count
+    return {
+        "rays": 0.0 if given.rays is not None else ray_memory(primary, options.bounces - 1),
+        "trees": held
+        + max(
+            max((tree.build for tree in trees), default=0.0),
+            BYTES["epo"] * largest,
+            BYTES["records"] * largest + traced,
+        ),
+        # Trees are timed in turn: the records of all are in memory.
+        "stopwatch": held + BYTES["records"] * sum(tree.references for tree in trees) + traced,
+    }
+
+
+def _of_tree(source: TreeSource, scene: Scene) -> _TreeNeeds:
+    triangles = len(scene.triangles)
+    if source.tree is not None:
+        return _TreeNeeds(0.0, len(source.tree.references))
+    assert source.chosen is not None
+    entry = get(source.chosen.builder)
+    options = entry.options(**dict(source.chosen.options))
+    most = entry.references(triangles, options)
+    require_references(most, f"{triangles:,} triangles of {scene.name}, for {source.name},")
+    # A budget for splits is seldom spent whole.
+    return _TreeNeeds(entry.memory_of(triangles, options), (triangles + most) / 2)
+
+
+def check_memory(scene: Scene, stages: Mapping[str, float]) -> float:
+    """Refuse the study of a scene that memory is too small for; return the bytes of its peak.
+
+    Raises
+    ------
+    MibvhError
+    """
+    stage = max(stages, key=lambda name: stages[name])
+    require_memory(
+        stages[stage],
+        f"{len(scene.triangles):,} triangles of {scene.name}, in the study's stage {stage},",
+    )
+    return stages[stage]
+
+
+class Peaks:
+    """The most memory that each stage of a study had in use.
+
+    Attributes
+    ----------
+    found : dict of str to float
+        Bytes of the whole process, by stage; empty where the system does not tell.
+    """
+
+    def __init__(self) -> None:
+        self.found: dict[str, float] = {}
+
+    @contextlib.contextmanager
+    def of(self, stage: str) -> Iterator[None]:
+        """Note the peak of what is done within."""
+        reset_peak()
+        yield
+        if (peak := peak_memory()) is not None:
+            self.found[stage] = float(peak)
