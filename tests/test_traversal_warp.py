@@ -1,9 +1,11 @@
 """Warps in lockstep: against the Dr.Jit kernels, and against a literal, slow execution."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
+from cuts import cut
 from test_traversal import random_rays, ray_set
 
 import mibvh
@@ -293,6 +295,71 @@ def test_against_a_literal_execution(scene, builder, style, options, width):
         np.testing.assert_array_equal(getattr(warps, name), counts[:, column])
     np.testing.assert_array_equal(warps.issued, issued[:, :2])
     np.testing.assert_array_equal(warps.rounds, issued[:, 2])
+
+
+def own_rounds(lane, rows, codes, distances, style):
+    """What a ray takes alone in this package's own kernels: rounds of a descent and its leaves.
+
+    Of the single loop, every step is a round.
+    """
+    while lane.node != DONE:
+        if style == "single":
+            if lane.node >= 0:
+                lane.visit(rows[lane.node], codes[lane.node])
+                yield 1, 0
+                continue
+            yield from [(0, 1)] * lane.test(lane.node, rows, codes, distances)
+            lane.node = lane.pop()
+            continue
+        nodes = tests = 0
+        while lane.node >= 0:
+            nodes += 1
+            lane.visit(rows[lane.node], codes[lane.node])
+            if style == "drjit-speculative" and DONE < lane.node < 0 and lane.leaf == DONE:
+                lane.leaf, lane.node = lane.node, lane.pop()
+        if style == "drjit-while-while":
+            while DONE < lane.node < 0:
+                tests += lane.test(lane.node, rows, codes, distances)
+                lane.node = lane.pop()
+        while lane.leaf != DONE:
+            tests += lane.test(lane.leaf, rows, codes, distances)
+            lane.leaf = DONE
+            if DONE < lane.node < 0:
+                lane.leaf, lane.node = lane.node, lane.pop()
+        yield nodes, tests
+
+
+@pytest.mark.parametrize("style", ["single", "drjit-while-while", "drjit-speculative"])
+@pytest.mark.parametrize("kind", ["sbvh, all splits", "streelet, many splits"])
+@pytest.mark.parametrize("name", ["pipes", "tiles"])
+def test_own_kernels_against_plain_python_on_cuts(name, kind, style):
+    triangles, tree = cut(name, kind)
+    assert tree.splits_triangles
+    rng = np.random.default_rng(3)
+    lower, upper = triangles.bounds.astype(np.float64)
+    o, to = (lower + (upper - lower) * rng.random((100, 3)) for _ in range(2))
+    rays = ray_set(o.astype(F), (to - o).astype(F))
+    scaled = ray_set(rays.o * unit_scale(triangles), rays.d)
+    rows, root = binary_rows(tree, triangles)
+    codes, inners = rows.view(np.int32), (len(tree) - 1) // 2
+    distances = float32_distances(rows, inners, scaled, len(triangles))
+    lanes = [Lane() for _ in range(len(rays))]
+    alone = []
+    for ray, lane in enumerate(lanes):
+        lane.take(ray, scaled, root)
+        alone.append(list(own_rounds(lane, rows, codes, distances, style)))
+    for width in (1, 8, 32):
+        warps = simulate(tree, triangles, rays, width, style)
+        packets = [alone[begin : begin + width] for begin in range(0, len(rays), width)]
+        for packet, issued, rounds in zip(packets, warps.issued, warps.rounds, strict=True):
+            together = itertools.zip_longest(*packet, fillvalue=(0, 0))
+            longest = np.array([np.max(lanes_steps, axis=0) for lanes_steps in together])
+            np.testing.assert_array_equal(issued, longest.sum(axis=0))
+            assert rounds == len(longest)
+        np.testing.assert_array_equal(warps.triangle, [lane.hit for lane in lanes])
+        for counter in COUNTERS:
+            counted = [getattr(lane, counter) for lane in lanes]
+            np.testing.assert_array_equal(getattr(warps, counter), counted)
 
 
 # ------------------------------------------------------------ properties
