@@ -131,7 +131,7 @@ def test_tables_claims_and_figures_are_of_every_width(found):
     assert "4 children per node: SAH alone" in told
     assert "8 children per node: with EPO" in told
     for name in ("width", "kinds"):
-        assert (found.folder / "figures" / f"livingroom@2000-{name}.png").stat().st_size > 5000
+        assert (found.folder / "figures" / f"livingroom@2000-{name}.svg").stat().st_size > 5000
 
 
 def test_a_wrong_wide_figure_fails_the_audit(found, scene):
