@@ -299,6 +299,9 @@ def tables(scenes: Sequence[SceneFigures]) -> Iterable[str]:
     yield from _predictors([scene for scene in scenes if len(scene.trees) >= FEWEST_TREES])
     most = max(len(scene.trees) for scene in scenes)
     complete = [scene for scene in scenes if len(scene.trees) == most]
+    for scene in scenes:
+        if len(scene.trees) < most:
+            yield from _some_trees(scene)
     yield from _builders(complete)
     yield from _before_and_after(complete)
     if whole := [scene for scene in scenes if scene.trial]:
@@ -383,6 +386,17 @@ def _predictors(scenes: Sequence[SceneFigures]) -> Iterable[str]:
         heads,
         [*rows, _means(values, _r)],
     )
+
+
+def _some_trees(scene: SceneFigures) -> Iterable[str]:
+    """The figures of a scene of which not all trees were measured."""
+    quantities = {"SAH": "sah", "EPO": "epo", "LCV": "lcv", "counted cost": "cost"}
+    rows = [
+        [builder, *(f"{getattr(of[w], q):.2f}" for q in quantities.values() for w in WIDTHS)]
+        for builder, of in scene.trees.items()
+    ]
+    heads = ["builder", *(f"{name}, {w}" for name in quantities for w in WIDTHS)]
+    yield from _table(f"{scene.name}, {scene.triangles:,} triangles", heads, rows)
 
 
 def _geometric(values: Iterable[float]) -> float:

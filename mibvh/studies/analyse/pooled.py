@@ -113,7 +113,7 @@ def _other_families(
         part = Sample({name: v[kept] for name, v in sample.values.items()}, sample.measured[kept])
         weights = one.fit([*known[:this], part, *known[this + 1 :]], this)
         values = one.predict(sample.values, weights)
-        if np.isfinite(values).all() and np.ptp(values[kept]) > 0 and kept.sum() > 2:
+        if kept.sum() > 2 and np.isfinite(values).all() and np.ptp(values[kept]) > 0:
             slope, base = np.polyfit(values[kept], sample.measured[kept], 1)
             found[~kept] = (base + slope * values[~kept]) / sample.measured.mean()
     return found
