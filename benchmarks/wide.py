@@ -34,6 +34,7 @@ from mibvh.files import write_text
 from mibvh.metrics.epo import overlap
 from mibvh.metrics.points import point_costs, ray_starts
 from mibvh.metrics.predictor import (
+    FEWEST_TREES,
     finite_ray_cost,
     fit_alpha,
     path_length_ratio,
@@ -295,9 +296,14 @@ def tables(scenes: Sequence[SceneFigures]) -> Iterable[str]:
     """Lines of Markdown."""
     yield f"mibvh {mibvh.__version__}; {len(scenes)} scenes; costs are counted, not timed."
     yield ""
-    yield from _predictors(scenes)
-    yield from _builders(scenes)
-    yield from _before_and_after(scenes)
+    yield from _predictors([scene for scene in scenes if len(scene.trees) >= FEWEST_TREES])
+    most = max(len(scene.trees) for scene in scenes)
+    complete = [scene for scene in scenes if len(scene.trees) == most]
+    for scene in scenes:
+        if len(scene.trees) < most:
+            yield from _some_trees(scene)
+    yield from _builders(complete)
+    yield from _before_and_after(complete)
     if whole := [scene for scene in scenes if scene.trial]:
         yield f"Of {len(whole)} scenes:"
         yield ""
@@ -370,13 +376,27 @@ def _predictors(scenes: Sequence[SceneFigures]) -> Iterable[str]:
         values.append(row)
     heads = ["scene", *(f"{name}, {w}" for name in ("SAH", "SAH + EPO", "finite rays", "alpha")
                         for w in WIDTHS), "binary cost, 4", "8"]  # fmt: skip
-    rows = [[s.name, *map(_r, row)] for s, row in zip(scenes, values, strict=True)]
+    rows = [
+        [f"{s.name} ({len(s.trees)} trees)", *map(_r, row)]
+        for s, row in zip(scenes, values, strict=True)
+    ]
     yield from _table(
         "r with counted cost, each width's own figures and cost; the fitted alpha; r of the binary "
         "tree's cost with the wide one's",
         heads,
         [*rows, _means(values, _r)],
     )
+
+
+def _some_trees(scene: SceneFigures) -> Iterable[str]:
+    """The figures of a scene of which not all trees were measured."""
+    quantities = {"SAH": "sah", "EPO": "epo", "LCV": "lcv", "counted cost": "cost"}
+    rows = [
+        [builder, *(f"{getattr(of[w], q):.2f}" for q in quantities.values() for w in WIDTHS)]
+        for builder, of in scene.trees.items()
+    ]
+    heads = ["builder", *(f"{name}, {w}" for name in quantities for w in WIDTHS)]
+    yield from _table(f"{scene.name}, {scene.triangles:,} triangles", heads, rows)
 
 
 def _geometric(values: Iterable[float]) -> float:
@@ -388,11 +408,10 @@ def _builders(scenes: Sequence[SceneFigures]) -> Iterable[str]:
     rows = []
     for builder in scenes[0].trees:
         row = [builder]
-        of = [s for s in scenes if builder in s.trees]
         for width in WIDTHS:
-            over = [s.trees[builder][width].cost / s.column(width, "cost").min() for s in of]
+            over = [s.trees[builder][width].cost / s.column(width, "cost").min() for s in scenes]
             row += [f"{_geometric(over):.3f}", str(sum(x == 1 for x in over))]
-        whole = [s.trees[builder][8].cost / s.trees[builder][2].cost for s in of]
+        whole = [s.trees[builder][8].cost / s.trees[builder][2].cost for s in scenes]
         rows.append([*row, f"{_geometric(whole):.3f}"])
     heads = ["builder", *(h for w in WIDTHS for h in (f"cost at width {w}", "best on")),
              "width 8 over 2"]  # fmt: skip
@@ -415,7 +434,6 @@ def _before_and_after(scenes: Sequence[SceneFigures]) -> Iterable[str]:
                     getattr(s.trees[builder][width], quantity)
                     / getattr(s.trees[start][width], quantity)
                     for s in scenes
-                    if {builder, start} <= set(s.trees)
                 ]
                 cells.append(f"{_geometric(over):.3f}")
         rows.append(cells)

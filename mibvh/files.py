@@ -263,16 +263,6 @@ class Stored:
         return cls(**arrays, meta=header)  # type: ignore[call-arg] # a subclass is a dataclass
 
 
-def file_kind(path: str | os.PathLike[str]) -> str | None:
-    """What a file that :func:`write_arrays` wrote says it holds; None of any other file."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            kind = json.loads(str(_member(archive, "header")))["kind"]
-    except Exception:  # as of read_arrays, which tells what is the matter
-        return None
-    return kind if isinstance(kind, str) else None
-
-
 def check_columns(
     path: str | os.PathLike[str],
     kind: str,

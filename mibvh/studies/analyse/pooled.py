@@ -110,10 +110,12 @@ def _other_families(
     """Relative cost of each tree, predicted from the scene's trees of other families."""
     sample, found = known[this], np.full(len(families), np.nan)
     for kept in _others(families):
+        if kept.sum() < 3:  # no line through so few
+            continue
         part = Sample({name: v[kept] for name, v in sample.values.items()}, sample.measured[kept])
         weights = one.fit([*known[:this], part, *known[this + 1 :]], this)
         values = one.predict(sample.values, weights)
-        if np.isfinite(values).all() and np.ptp(values[kept]) > 0 and kept.sum() > 2:
+        if np.isfinite(values).all() and np.ptp(values[kept]) > 0:
             slope, base = np.polyfit(values[kept], sample.measured[kept], 1)
             found[~kept] = (base + slope * values[~kept]) / sample.measured.mean()
     return found
