@@ -1,6 +1,7 @@
 """What trees for traced rays gain in counted cost, and what each part of them is worth.
 
-    python benchmarks/better_trees.py SCENE... [--table gains|ablations|unseen|vain|later]
+    python benchmarks/better_trees.py SCENE... [--table gains|ablations|unseen|vain|later
+                                              |wide|times]
                                       [--trees DIR] [--size 160x120] [--kept DIR] [-o TABLE.md]
 
 SCENE is whatever `mibvh build` takes. Trees are measured on rays that no builder saw: of another
@@ -13,9 +14,13 @@ there and the version, SCENE and --size are the same.
 - gains: the best combination that knows no rays (`bittner` from `sbvh`), and `finite`; with and
   without re-testing popped nodes; references per triangle.
 - ablations: `finite` with each part left out or exchanged.
-- unseen: built for every other camera, measured on those left out.
+- unseen: built for every other camera, measured on those left out, and the other way round.
 - vain: segments prolonged beyond their hits, as the traversal visits nodes there in vain.
 - later: the builders that came after the paper.
+- wide: nodes of eight children, collapsed by area and by the rays' measure; relative to `sbvh`
+  collapsed by area.
+- times: the same trees' kernel speed as a share of Embree's (Mitsuba's own intersection), all
+  interleaved. For a quiet machine.
 """
 
 from __future__ import annotations
@@ -33,10 +38,14 @@ import mibvh
 from mibvh.builders import later_names, names
 from mibvh.measures import Area, Flux, Segments
 from mibvh.measures.walk import cut_at_hits
+from mibvh.traversal.wide_rows import as_wide
 from mibvh.tree import Tree
+from mibvh.wide_tree import WideTree
 
 #: Of the rays that are measured; those of training have another.
 SEED = 0
+#: Interleaved rounds of the times.
+_ROUNDS = 15
 
 
 @dataclasses.dataclass
@@ -62,12 +71,17 @@ class Bench:
         )
 
 
-def prepare(source: str, folder: Path | None, width: int, height: int) -> Bench:
-    """Load a scene, and find the best of the paper's nine builders on its held-out rays."""
+def prepare(source: str, folder: Path | None, width: int, height: int, relative: bool) -> Bench:
+    """Load a scene, and find the best of the paper's nine builders on its held-out rays.
+
+    Unless costs are not to be ``relative`` to it.
+    """
     scene = mibvh.load(source)
     rays = mibvh.diffuse_rays(scene, width=width, height=height, samples=1, seed=SEED)
     bench = Bench(scene.name, scene, rays, 1.0, Tree.load(_tree_file(folder, scene.name, "sbvh"))
                   if _has(folder, scene.name, "sbvh") else mibvh.build(scene, "sbvh"))  # fmt: skip
+    if not relative:
+        return bench
     costs = {}
     for builder in names():
         if _has(folder, scene.name, builder):
@@ -143,18 +157,29 @@ def ablations(bench: Bench) -> Row:
 
 
 def unseen(bench: Bench) -> Row:
-    """Built for every other camera, measured on the others."""
+    """Built for every other camera, measured on the others, and the other way round."""
     sensors = bench.scene.sensors
-    if len(sensors) < 2:
+    if len(sensors) < 4:
         return {}
-    seen = dataclasses.replace(bench.scene, sensors=sensors[::2])
-    odd = np.arange(len(sensors))[1::2]
+    halves = [_half_unseen(bench, first) for first in (0, 1)]
+    row: Row = {
+        label: float(np.exp(np.mean([np.log(half[label]) for half in halves])))
+        for label in halves[0]
+        if label != "chosen"
+    }
+    row["unseen=true, worse half"] = max(half["unseen=true"] for half in halves)
+    return {**row, "chosen": " and ".join(str(half["chosen"]) for half in halves)}
+
+
+def _half_unseen(bench: Bench, first: int) -> Row:
+    sensors = bench.scene.sensors
+    seen = dataclasses.replace(bench.scene, sensors=sensors[first::2])
+    odd = np.arange(len(sensors))[1 - first :: 2]
     rays = bench.rays.select(np.isin(bench.rays.viewpoint, odd))
     variants: dict[str, Callable[[], Tree]] = {
         "area combination": lambda: mibvh.build(seen, "bittner", start="sbvh"),
-        "finite, weight 0.1": lambda: mibvh.build(seen, "finite"),
+        "weight 0.1": lambda: mibvh.build(seen, "finite"),
         "weight 0.6": lambda: mibvh.build(seen, "finite", area_weight=0.6),
-        "weight 3": lambda: mibvh.build(seen, "finite", area_weight=3.0),
         "unseen=true": lambda: mibvh.build(seen, "finite", unseen=True),
         "all cameras known": lambda: mibvh.build(bench.scene, "finite"),
     }
@@ -162,6 +187,7 @@ def unseen(bench: Bench) -> Row:
     # Relative to the area combination: the nine were not measured on these rays alone.
     costs = {label: bench.cost(tree, rays) for label, tree in trees.items()}
     row: Row = {label: cost / costs["area combination"] for label, cost in costs.items()}
+    del row["area combination"]
     return {**row, "chosen": trees["unseen=true"].meta["report"]["area_weight"]}
 
 
@@ -199,9 +225,56 @@ def later(bench: Bench) -> Row:
     return {name: bench.cost(mibvh.build(bench.scene, name)) for name in later_names()}
 
 
+def _wide_trees(bench: Bench) -> dict[str, WideTree]:
+    measure = Flux(bench.segments(), area_weight=0.1)
+    finite = mibvh.build(bench.scene, "finite")
+    triangles = bench.scene.triangles
+    return {
+        f"{name}, by {by}": as_wide(tree, triangles, chosen)
+        for name, tree in (("sbvh", bench.sbvh), ("finite", finite))
+        for by, chosen in (("area", None), ("flux", measure))
+    }
+
+
+def wide(bench: Bench) -> Row:
+    """Counted cost of wide trees, collapsed by area and by flux."""
+    costs = {
+        label: mibvh.trace(tree, bench.scene, bench.rays, style="wide", repeats=1).counted_cost()
+        for label, tree in _wide_trees(bench).items()
+    }
+    first = next(iter(costs.values()))
+    return {label: cost / first for label, cost in costs.items()}
+
+
+def times(bench: Bench) -> Row:
+    """Kernel speed of the same trees as a share of Embree's; median over rounds of the ratio."""
+    from traversal import mitsuba_seconds
+
+    from mibvh.traversal.records import make_records, unit_scale
+    from mibvh.traversal.trace import Tracer
+    from mibvh.variant import mitsuba
+
+    mi = mitsuba()
+    triangles, rays = bench.scene.triangles, bench.rays
+    tracer = Tracer(rays, float(unit_scale(triangles)), style="wide")
+    trees = _wide_trees(bench)
+    records = [make_records(tree, triangles, "wide") for tree in trees.values()]
+    ray = mi.Ray3f(mi.Point3f(rays.o.T), mi.Vector3f(rays.d.T), mi.Float(rays.tmax), 0, [])
+    rounds = np.array(
+        [
+            [tracer.run(tree)[1].kernel for tree in records] + [mitsuba_seconds(bench.scene, ray)]
+            for _ in range(_ROUNDS + 1)
+        ]
+    )[1:]  # the first round warms up
+    shares = np.median(rounds[:, -1:] / rounds[:, :-1], axis=0)
+    return {label: float(share) for label, share in zip(trees, shares, strict=True)}
+
+
 TABLES: dict[str, Callable[[Bench], Row]] = {
-    "gains": gains, "ablations": ablations, "unseen": unseen, "vain": vain, "later": later,
-}  # fmt: skip
+    function.__name__: function for function in (gains, ablations, unseen, vain, later, wide, times)
+}
+#: Tables that are relative to the best of the nine builders.
+_RELATIVE = ("gains", "ablations", "vain", "later")
 
 
 def lay_out(rows: dict[str, Row]) -> Iterable[str]:
@@ -230,7 +303,7 @@ def measured(source: str, arguments: argparse.Namespace) -> tuple[str, Row]:
         found = json.loads(kept.read_text(encoding="utf-8"))
         if found["key"] == key:
             return found["name"], found["row"]
-    bench = prepare(source, arguments.trees, width, height)
+    bench = prepare(source, arguments.trees, width, height, arguments.table in _RELATIVE)
     row = TABLES[arguments.table](bench)
     if kept:
         kept.parent.mkdir(parents=True, exist_ok=True)

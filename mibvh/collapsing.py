@@ -16,6 +16,8 @@ import numpy.typing as npt
 
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
+from mibvh.measures.area import Measure
+from mibvh.measures.nodes import node_measures
 from mibvh.tree import Tree
 from mibvh.triangles import F64, I32, as_triangles
 from mibvh.wide_tree import C_BOX, WIDTHS, WideTree
@@ -29,6 +31,7 @@ def collapse(
     *,
     method: Method = "optimal",
     weights: npt.ArrayLike | None = None,
+    measure: Measure | None = None,
     c_inner: float | None = None,
     c_box: float = C_BOX,
     c_tri: float | None = None,
@@ -49,6 +52,9 @@ def collapse(
     weights : (M,) array, optional
         What each node's visit is worth: the probability that a ray comes to it, up to a factor.
         By default its area: the cost minimised is then SAH.
+    measure : Measure, optional
+        What each node's box costs to have, in the place of weights: one of
+        :mod:`mibvh.measures`, such as that which the tree was built by.
     c_inner : float, optional
         Cost of visiting an inner node of two children; what the tree was built with by default.
     c_box : float
@@ -81,7 +87,9 @@ def collapse(
              "c_tri": tree.meta.get("c_tri", 1.0) if c_tri is None else c_tri}  # fmt: skip
     if not min(costs.values()) >= 0:
         raise MibvhError(f"costs are not negative: {costs}")
-    weight = _weights(tree, weights)
+    if weights is not None and measure is not None:
+        raise MibvhError("a tree is collapsed by weights or by a measure, not by both")
+    weight = _weights(tree, node_measures(tree, measure) if measure else weights)
     if method == "greedy":
         kind = _greedy(tree.left, weight, width)
     else:
@@ -91,8 +99,8 @@ def collapse(
         )  # fmt: skip
         kind = _chosen(tree.left, split, width)
     nodes, child, children = _number(tree.left, kind)
-    options = {"width": width, "method": method, "max_leaf": max_leaf,
-               "weights": "given" if weights is not None else "area"}  # fmt: skip
+    by = measure.name if measure else "area" if weights is None else "given"
+    options = {"width": width, "method": method, "max_leaf": max_leaf, "weights": by}
     first, count, references = tree.first[nodes], tree.count[nodes], tree.references
     if max_leaf is not None and tree.splits_triangles:
         first, count, references = _without_repeats(child, first, count, references)

@@ -102,7 +102,45 @@ def test_for_unseen_viewpoints_it_is_no_worse_than_the_area_tree():
     rays = mibvh.diffuse_rays(other, width=32, height=24, samples=1)
     area = mibvh.build(scene, "bittner", start="sbvh")
     assert cost(tree, scene, rays) <= 1.01 * cost(area, scene, rays)
-    assert tree.meta["report"]["area_weight"] in (0.6, 1.2, "area alone")
+    report = tree.meta["report"]
+    assert report["area_weight"] in (0.6, 1.2, "area alone")
+    assert [len(found) for found in report["left_out"].values()] == [len(seen.sensors)] * 2
+
+
+def test_the_weight_for_unseen_viewpoints_goes_by_what_is_left_out():
+    """A gain within its error keeps the area tree; one beyond it does not."""
+    from mibvh.builders.finite import FiniteOptions, _Search
+    from mibvh.measures import Segments
+
+    class Told(_Search):
+        def __init__(self, relative):
+            self.options, self.relative = FiniteOptions(), relative
+
+        def area_tree(self):
+            return None
+
+        def best(self, measure, segments, options):
+            assert options.effort == 1
+            left_out = ({0, 1, 2} - set(segments.viewpoint)).pop()
+            return self.relative[measure.area_weight][left_out], {}
+
+        def cost(self, draft, segments):
+            assert len(np.unique(segments.viewpoint)) == 1
+            return 50.0 * (1.0 if draft is None else draft)
+
+    at = np.random.default_rng(0).random((30, 3)).astype(np.float32)
+    segments = Segments(at, at[::-1].copy(), np.repeat(np.arange(3), 10).astype(np.int32))
+    for relative, wanted in (
+        ({0.6: [0.90, 0.92, 0.91], 1.2: [0.95, 0.95, 0.95]}, 0.6),
+        ({0.6: [0.80, 0.82, 1.10], 1.2: [0.95, 0.96, 0.94]}, 1.2),
+        ({0.6: [0.80, 0.95, 1.20], 1.2: [0.99, 1.00, 1.02]}, np.inf),
+    ):
+        weight, said = Told(relative).weight_for_unseen(segments)
+        assert weight == wanted
+        np.testing.assert_allclose(said["0.6"], relative[0.6])
+    weight, said = Told({}).weight_for_unseen(segments.select(segments.viewpoint == 0))
+    assert weight == np.inf
+    assert said == {}
 
 
 def test_finite_is_asked_for_by_name_alone():

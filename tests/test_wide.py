@@ -4,6 +4,10 @@ from conftest import closed_box, soup
 from test_traversal import random_rays, ray_set
 
 import mibvh
+from mibvh.measures import Area, Flux
+from mibvh.measures.nodes import node_measures
+from mibvh.measures.walk import cut_at_hits
+from mibvh.metrics.sah import node_costs
 from mibvh.traversal.records import ROW, make_records, unit_scale
 from mibvh.traversal.schedule import Schedule, issued_by_bursts
 from mibvh.traversal.wide_rows import LARGEST, SPAN, as_wide, wide_rows
@@ -187,6 +191,33 @@ def test_any_hit_rays_in_every_order(room, width, small, order):
     missed = ~np.isfinite(hits.t)
     np.testing.assert_array_equal(plain.inner[missed], walk.inner[missed])
     assert (plain.inner != walk.inner).any() == (order is not None)
+
+
+def test_collapsing_by_a_measure_is_cheaper_for_its_rays(room):
+    scene, rays, trees = room
+    seen, unseen = (rays.select(slice(first, None, 2)) for first in (0, 1))
+    tree = trees["sbvh"]
+    flux = Flux(cut_at_hits(tree, scene.triangles, seen.o, seen.d, seen.tmax, seen.viewpoint))
+    by_area, by_flux = (as_wide(tree, scene.triangles, measure) for measure in (None, flux))
+    assert by_flux.validate(scene.triangles) == []
+    hits = [
+        mibvh.trace(wide, scene, unseen, style="wide", repeats=1) for wide in (by_area, by_flux)
+    ]
+    np.testing.assert_array_equal(hits[0].t, hits[1].t)
+    assert hits[1].counted_cost() < hits[0].counted_cost()
+    # The measure of each node is what is brought to its least sum.
+    collapsed = [mibvh.collapse(tree, 8, measure=measure) for measure in (Area(), flux)]
+    sums = [
+        (node_costs(wide) * node_measures(wide, flux)).sum(dtype=np.float64) for wide in collapsed
+    ]
+    assert sums[1] < sums[0]
+    weights = node_measures(tree, flux)
+    given = mibvh.collapse(tree, 8, weights=weights)
+    np.testing.assert_array_equal(given.child, collapsed[1].child)
+    np.testing.assert_array_equal(collapsed[0].child, mibvh.collapse(tree, 8).child)
+    assert collapsed[1].meta["collapse"]["weights"] == "flux"
+    with pytest.raises(mibvh.MibvhError, match="by weights or by a measure, not by both"):
+        mibvh.collapse(tree, 8, weights=weights, measure=flux)
 
 
 def test_collapsing_by_visits_is_cheaper_for_such_rays(room):

@@ -18,8 +18,8 @@ Stages
 5. The leaf collapse goes by the same measure.
 
 What it gains, it gains by knowing where the rays of these cameras go. For cameras that are not
-known, ``unseen`` chooses the weight of the area by cross-validation over the viewpoints, the
-area tree among the choices.
+known, ``unseen`` chooses the weight of the area by cross-validation over the viewpoints, and keeps
+the area tree where the gain is within its error.
 """
 
 from __future__ import annotations
@@ -41,10 +41,9 @@ from mibvh.measures.flux import MAX_SEGMENTS
 from mibvh.measures.walk import counted_cost, cut_at_hits
 from mibvh.triangles import F32, I32, Triangles
 
-#: What cross-validation over viewpoints chooses the weight of the area from, and what part of the
-#: area tree's cost it must be below: with few viewpoints, it is noisy.
+#: What cross-validation over viewpoints chooses the weight of the area from, on how many parts.
 _WEIGHTS = (0.6, 1.2)
-_MARGIN = 0.99
+_FOLDS = 4
 #: Rays between surfaces begin this share of the diagonal off them.
 _OFF = 1e-5
 
@@ -158,12 +157,14 @@ class _Search:
             tree, self.triangles, segments, self.options.c_inner, self.options.c_tri
         )
 
-    def best(self, measure: Any, segments: Segments) -> tuple[Draft, dict[str, Any]]:
+    def best(
+        self, measure: Any, segments: Segments, options: FiniteOptions
+    ) -> tuple[Draft, dict[str, Any]]:
         """Find the best tree by a measure, and say how it came about."""
         context = dataclasses.replace(self.context, measure=measure)
         compiled = context.compiled_measure(self.scale)
-        starts = {"flux": context.start(self.triangles, "sbvh", self.options)}
-        if self.options.effort > 1:
+        starts = {"flux": context.start(self.triangles, "sbvh", options)}
+        if options.effort > 1:
             starts["area"] = self.start
         drafts = {
             name: dataclasses.replace(reinserted(start, self.insertion, context), measure=compiled)
@@ -173,7 +174,7 @@ class _Search:
         chosen = min(costs, key=costs.__getitem__)
         draft = drafts[chosen]
         report: dict[str, Any] = {"start": chosen, "split": 0, "merged": 0}
-        for _ in range(self.options.effort - 1):
+        for _ in range(options.effort - 1):
             tried, splits, merges = self._resplit(draft, context, compiled)
             cost = self.cost(tried, segments)
             if cost >= costs[chosen]:
@@ -195,22 +196,42 @@ class _Search:
         """The best combination that knows no rays: `bittner` from `sbvh`, by area."""
         return reinserted(self.start, self.insertion, self.by_area)
 
-    def weight_for_unseen(self, segments: Segments) -> float:
-        """Choose the weight of the area by cross-validation over viewpoints; inf: area alone."""
+    def weight_for_unseen(self, segments: Segments) -> tuple[float, dict[str, list[float]]]:
+        """Choose the weight of the area by cross-validation; infinite: the area alone.
+
+        Each viewpoint in turn is left out (of many, a fourth of them), a tree is built for the
+        others, and its cost for the one left out is taken relative to the area tree's. A weight
+        is worth something where the mean over the viewpoints is below 1 by more than its
+        standard error.
+
+        Returns
+        -------
+        weight : float
+        relative : dict of str to list of float
+            By weight, the costs of the viewpoints left out.
+        """
         viewpoints = np.unique(segments.viewpoint)
-        if len(viewpoints) < 2:
-            return np.inf
-        fold = np.searchsorted(viewpoints, segments.viewpoint) % 2
+        folds = min(len(viewpoints), _FOLDS)
+        if folds < 2:
+            return np.inf, {}
+        fold = np.searchsorted(viewpoints, segments.viewpoint) % folds
+        quick = dataclasses.replace(self.options, effort=1)
+        relative: dict[float, list[float]] = {weight: [] for weight in _WEIGHTS}
         area = self.area_tree()
-        halves = [segments.select(fold == half) for half in range(2)]
-        costs = {float("inf"): _MARGIN * sum(self.cost(area, half) for half in halves)}
-        for weight in _WEIGHTS:
-            costs[weight] = 0.0
-            for seen, other in (halves, halves[::-1]):
+        for left_out in range(folds):
+            seen, other = segments.select(fold != left_out), segments.select(fold == left_out)
+            alone = self.cost(area, other)
+            for weight in _WEIGHTS:
                 measure = Flux(seen, self.options.planes, weight)
-                draft, _ = self.best(measure, seen)
-                costs[weight] += self.cost(draft, other)
-        return min(costs, key=costs.__getitem__)
+                draft, _ = self.best(measure, seen, quick)
+                relative[weight].append(self.cost(draft, other) / alone)
+        at_most = {
+            weight: np.mean(found) + np.std(found, ddof=1) / np.sqrt(folds)
+            for weight, found in relative.items()
+        }
+        chosen = min(at_most, key=at_most.__getitem__)
+        said = {str(weight): found for weight, found in relative.items()}
+        return chosen if at_most[chosen] < 1.0 else np.inf, said
 
 
 @builder(
@@ -227,14 +248,16 @@ def finite(triangles: Triangles, options: FiniteOptions, context: Context) -> Dr
     first = finish(search.start, **search.common, meta={"triangles": len(triangles)})
     rays, said = training_rays(triangles, options, context)
     segments = cut_at_hits(first, triangles, *rays)
-    weight = options.area_weight
+    weight, left_out = options.area_weight, {}
     if options.unseen:
-        weight = search.weight_for_unseen(segments)
+        weight, left_out = search.weight_for_unseen(segments)
     if np.isinf(weight):
         draft, report = search.area_tree(), {"start": "area", "split": 0, "merged": 0}
         report["cost"] = search.cost(draft, segments)
     else:
-        draft, report = search.best(Flux(segments, options.planes, weight), segments)
+        draft, report = search.best(Flux(segments, options.planes, weight), segments, options)
+    if left_out:
+        report["left_out"] = left_out
     report = {
         **report,
         "rays": said,

@@ -27,6 +27,7 @@ import numpy.typing as npt
 from mibvh._jit import njit
 from mibvh.collapsing import collapse, unfold
 from mibvh.errors import MibvhError
+from mibvh.measures.area import Measure
 from mibvh.quantise import finest_step, grid, quantised
 from mibvh.tree import Tree
 from mibvh.triangles import F32, Triangles
@@ -53,15 +54,17 @@ NETWORKS: dict[int, tuple[tuple[int, int], ...]] = {
 }  # fmt: skip
 
 
-def as_wide(tree: Tree | WideTree, triangles: Triangles) -> WideTree:
+def as_wide(
+    tree: Tree | WideTree, triangles: Triangles, measure: Measure | None = None
+) -> WideTree:
     """The tree that the wide kernel walks for a tree: a wide one itself.
 
-    Of a binary one, the nodes of eight children whose areas have the least sum, with every
-    triangle a child, on 8-bit grids.
+    Of a binary one, the nodes of eight children whose areas, or measures, have the least sum, with
+    every triangle a child, on 8-bit grids.
     """
     if isinstance(tree, WideTree):
         return tree
-    wide = collapse(unfold(tree, triangles), 8, c_box=0.0)
+    wide = collapse(unfold(tree, triangles), 8, c_box=0.0, measure=measure)
     # Boxes may be larger than the scene; grids are not.
     lower, upper = (np.clip(box, *triangles.bounds) for box in (wide.lower, wide.upper))
     return quantised(wide.replace(lower=lower, upper=upper))
