@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba import types
 from numba.core.dispatcher import Dispatcher
 
 #: The process that ran the first parallel kernel.
@@ -72,6 +73,7 @@ def njit(
         compiled = numba.njit(cache=True, **options)(function)
     compiled.mibvh_files = _files(function)
     _keep_if_possible(compiled)
+    _compile_once(compiled)
     cache_file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if cache_file is not None and hasattr(cache_file, "_source_stamp"):
         cache_file._source_stamp = _stamp(function, compiled.mibvh_files)
@@ -107,6 +109,24 @@ def _keep_if_possible(compiled: Dispatcher) -> None:
             save(signature, data)
 
     cache.save_overload = save_overload
+
+
+def _compile_once(compiled: Dispatcher) -> None:
+    """Compile a callee once for all signed integers, constants among them.
+
+    Numba would compile a copy for each width and for constants, with all that it calls in turn.
+    """
+    template = compiled.get_call_template
+
+    def get_call_template(args: Any, kws: Any) -> Any:
+        return template([_wide(a) for a in args], {name: _wide(a) for name, a in kws.items()})
+
+    compiled.get_call_template = get_call_template
+
+
+def _wide(kind: Any) -> Any:
+    kind = types.unliteral(kind) if isinstance(kind, types.Literal) else kind
+    return types.int64 if isinstance(kind, types.Integer) and kind.signed else kind
 
 
 def _files(function: Callable[..., Any]) -> frozenset[str]:

@@ -42,7 +42,8 @@ def _radix_tree(codes, order):
     left[n - 1 :] = -1
     right[n - 1 :] = -1
     reference[: n - 1] = -1
-    reference[n - 1 :] = order
+    for i in range(n):  # item by item: quicker to compile
+        reference[n - 1 + i] = order[i]
     border = np.empty(n, np.uint64)
     key_high = np.empty(n, np.uint64)
     key_low = np.empty(n, np.uint64)

@@ -101,8 +101,9 @@ def sort_keys(keys, bits):
                 low,
                 counts,
             ):
-                source[begin:end] = target[begin:end]
-                order[begin:end] = other[begin:end]
+                # Item by item: Numba takes two seconds to compile what it would say of slices.
+                for i in range(begin, end):
+                    source[i], order[i] = target[i], other[i]
         else:
             for i in range(begin + 1, end):
                 key, index, j = source[i], order[i], i

@@ -42,7 +42,7 @@ def room(rows: int) -> Polygons:
     )
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def put_triangle(polygons, row, corners, t):
     """Write a triangle, ``corners[t]``, to a row; return its area."""
     for i in range(3):
@@ -51,7 +51,7 @@ def put_triangle(polygons, row, corners, t):
     return measure(polygons, row, 3)
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def _cut(corners, source, n, target, axis, limit, sign):
     """Clip a convex polygon by an axis plane, keeping ``sign * (x - limit) >= 0``.
 
@@ -78,7 +78,7 @@ def _cut(corners, source, n, target, axis, limit, sign):
     return (place - begin) // 3
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def measure(polygons, row, n):
     """Write the corner count, the box and the area of the polygon in a row; return the area."""
     corners, limits = polygons.corners, polygons.limits
@@ -105,7 +105,7 @@ def measure(polygons, row, n):
     return area
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def clip(polygons, row, box, node, spare):
     """Clip the polygon in a row by the planes of a node's box that cut the polygon's own box.
 
@@ -133,7 +133,7 @@ def clip(polygons, row, box, node, spare):
     return row, n
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def touches(limits, row, box, node):
     """Whether the closed box in a row of ``limits`` and that of a node have a point in common."""
     a, b = 6 * row, 6 * node

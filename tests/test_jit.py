@@ -1,0 +1,42 @@
+"""How kernels are compiled."""
+
+import numba
+import numpy as np
+
+from mibvh._jit import njit
+
+
+@njit
+def _third(values, place):
+    return values[place] + np.uint32(3) * 0.5
+
+
+@njit
+def _all_kinds(values, index):
+    return (
+        _third(values, 1) + _third(values, index[0]) + _third(values, place=len(values) - 1),
+        _third(values, np.uint64(2)),
+    )
+
+
+@njit
+def _highest_bit(code):
+    return code >> np.uint64(63)
+
+
+@njit
+def _bit_of(codes):
+    return _highest_bit(codes[0])
+
+
+def test_a_callee_is_compiled_once_for_all_signed_integers():
+    values, index = np.array([1.0, 2.0, 4.0]), np.array([1], np.int32)
+    # Compiled here and now: what comes from the cache knows of no callees.
+    caller = numba.njit(_all_kinds.py_func)
+    assert caller(values, index) == (2.0 + 2.0 + 4.0 + 3 * 1.5, 4.0 + 1.5)
+    # By a constant, int32 and int64; and by uint64, which is not the same in all arithmetic.
+    assert sorted(str(place) for _, place in _third.signatures) == ["int64", "uint64"]
+
+
+def test_unsigned_integers_stay_unsigned():
+    assert _bit_of(np.array([1 << 63], np.uint64)) == 1
