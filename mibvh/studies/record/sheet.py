@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -155,7 +156,13 @@ class Sheet:
 
     def is_text(self, column: Column) -> bool:
         """Whether a column holds words rather than numbers."""
-        return not pd.api.types.is_numeric_dtype(self.frame[column.key])
+        return column.key in self._of_words
+
+    @functools.cached_property
+    def _of_words(self) -> frozenset[str]:
+        """Keys of the columns that hold words."""
+        numeric = pd.api.types.is_numeric_dtype
+        return frozenset(key for key in self.keys if not numeric(self.frame[key]))
 
     def rows(self) -> list[list[Cell]]:
         """The cells, row by row."""

@@ -8,6 +8,7 @@ from mibvh.metrics.predictors import Predictor, glossary, predictors
 from mibvh.metrics.registry import Quantity
 from mibvh.studies.analyse.calibration import absolute_errors
 from mibvh.studies.analyse.correlations import overview, shared_weights, worst_error
+from mibvh.studies.analyse.level import level_pieces
 from mibvh.studies.analyse.noise import simd_deviation
 from mibvh.studies.analyse.pooled import pooled
 from mibvh.studies.paper.published import published
@@ -31,6 +32,7 @@ def prediction_sheets(records: Records, found: pd.DataFrame) -> list[Sheet]:
         _overview(records, found),
         *_pooled(records),
         _absolute(records),
+        *_level(records),
         _per_scene(records, found),
         _others(found),
         _shared(records),
@@ -224,6 +226,32 @@ def _absolute(records: Records) -> Sheet:
             Column("sigma", "σ / mean of EPO at starts", ".1f"),
         ],
     )
+
+
+def _level(records: Records) -> list[Sheet]:
+    frame = level_pieces(records)
+    if frame.empty:
+        return []
+    sheet = Sheet(
+        name="level",
+        section=SECTION,
+        title="What the level of finite rays misses",
+        note="Finite rays over counted cost, mean over a scene's trees, and the three factors that "
+        "it is the product of. Which lines: rays do not lie on uniform lines. Along the line: a "
+        "ray begins in dense geometry and, where it leaves the scene, ends in empty space, while "
+        "the formula spreads the cost evenly. Order: nodes are visited that were pushed before "
+        "the hit was known.",
+        frame=frame,
+        columns=[
+            Column("scene"),
+            Column("hit_share", "rays that hit", ".0%"),
+            Column("level", "finite / counted", ".2f"),
+            Column("which_lines", "which lines", ".2f", "finite rays over finite by lines"),
+            Column("along", "along the line", ".2f", "finite by lines over touched"),
+            Column("order", format=".2f", help="touched over counted cost"),
+        ],
+    )
+    return [sheet]
 
 
 def _simd(records: Records) -> Sheet:
