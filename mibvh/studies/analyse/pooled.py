@@ -122,7 +122,6 @@ def _other_families(
 
 
 def _others(families: npt.NDArray[np.str_]) -> Iterator[npt.NDArray[np.bool_]]:
-    """Yield the trees that are not of a family, for each family; none where all are of one."""
-    names = dict.fromkeys(families.tolist())
-    for name in names if len(names) > 1 else ():
+    """Yield the trees that are not of a family, for each family."""
+    for name in dict.fromkeys(families.tolist()):
         yield families != name
