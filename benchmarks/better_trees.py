@@ -78,8 +78,15 @@ def prepare(source: str, folder: Path | None, width: int, height: int, relative:
     """
     scene = mibvh.load(source)
     rays = mibvh.diffuse_rays(scene, width=width, height=height, samples=1, seed=SEED)
-    bench = Bench(scene.name, scene, rays, 1.0, Tree.load(_tree_file(folder, scene.name, "sbvh"))
-                  if _has(folder, scene.name, "sbvh") else mibvh.build(scene, "sbvh"))  # fmt: skip
+    bench = Bench(
+        scene.name,
+        scene,
+        rays,
+        1.0,
+        Tree.load(_tree_file(folder, scene.name, "sbvh"))
+        if _has(folder, scene.name, "sbvh")
+        else mibvh.build(scene, "sbvh"),
+    )
     if not relative:
         return bench
     costs = {}

@@ -183,10 +183,22 @@ def tables(scenes: Sequence[SceneKinds]) -> Iterable[str]:
     for kind in (*KINDS, "mixed"):
         yield from _table(
             f"{kind}: r, alpha, level (predicted over counted cost), and the trees",
-            ("scene", "rays", "hit", "s", *PREDICTORS, "alpha fitted", "estimated", "1/(1+s)",
-             "level of finite rays", "any-hit", "touched", "dearest / cheapest"),
+            (
+                "scene",
+                "rays",
+                "hit",
+                "s",
+                *PREDICTORS,
+                "alpha fitted",
+                "estimated",
+                "1/(1+s)",
+                "level of finite rays",
+                "any-hit",
+                "touched",
+                "dearest / cheapest",
+            ),
             (_of_scene(scene, kind) for scene in scenes if kind in scene.kinds),
-        )  # fmt: skip
+        )
     yield from _table(
         "Mean rank of each builder's tree by counted cost (1: the cheapest), and on how many "
         "scenes it is the first",

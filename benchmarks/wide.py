@@ -347,8 +347,16 @@ def _trial(scenes: Sequence[SceneFigures]) -> Iterable[str]:
         values.append(
             (pearson(sah, binary), pearson(sah, wide), *r, *alphas, pearson(binary, wide))
         )
-    heads = ("scene", "r of SAH: binary cost", "wide", "r of SAH + EPO: binary", "wide",
-             "alpha: binary", "wide", "r of binary with wide cost")  # fmt: skip
+    heads = (
+        "scene",
+        "r of SAH: binary cost",
+        "wide",
+        "r of SAH + EPO: binary",
+        "wide",
+        "alpha: binary",
+        "wide",
+        "r of binary with wide cost",
+    )
     rows = [[s.name, *map(_r, row)] for s, row in zip(scenes, values, strict=True)]
     title = (
         'Binary SAH and EPO against the cost of `style="wide"` '
@@ -374,8 +382,12 @@ def _predictors(scenes: Sequence[SceneFigures]) -> Iterable[str]:
             row += quantity
         row += [pearson(scene.column(2, "cost"), scene.column(w, "cost")) for w in (4, 8)]
         values.append(row)
-    heads = ["scene", *(f"{name}, {w}" for name in ("SAH", "SAH + EPO", "finite rays", "alpha")
-                        for w in WIDTHS), "binary cost, 4", "8"]  # fmt: skip
+    heads = [
+        "scene",
+        *(f"{name}, {w}" for name in ("SAH", "SAH + EPO", "finite rays", "alpha") for w in WIDTHS),
+        "binary cost, 4",
+        "8",
+    ]
     rows = [
         [f"{s.name} ({len(s.trees)} trees)", *map(_r, row)]
         for s, row in zip(scenes, values, strict=True)
@@ -413,8 +425,11 @@ def _builders(scenes: Sequence[SceneFigures]) -> Iterable[str]:
             row += [f"{_geometric(over):.3f}", str(sum(x == 1 for x in over))]
         whole = [s.trees[builder][8].cost / s.trees[builder][2].cost for s in scenes]
         rows.append([*row, f"{_geometric(whole):.3f}"])
-    heads = ["builder", *(h for w in WIDTHS for h in (f"cost at width {w}", "best on")),
-             "width 8 over 2"]  # fmt: skip
+    heads = [
+        "builder",
+        *(h for w in WIDTHS for h in (f"cost at width {w}", "best on")),
+        "width 8 over 2",
+    ]
     yield from _table(
         "Counted cost over that of the scene's best tree of the width (geometric mean), and on how "
         "many scenes it is the best",
@@ -441,17 +456,27 @@ def _before_and_after(scenes: Sequence[SceneFigures]) -> Iterable[str]:
     yield from _table("Optimised over start (geometric means)", heads, rows)
     values = []
     for s in scenes:
-        values.append([
-            pearson(s.column(2, "sah"), s.column(8, "sah")),
-            pearson(s.column(2, "epo"), s.column(8, "epo")),
-            pearson(s.column(2, "sah"), s.column(8, "cost")),
-            pearson(s.column(8, "sah"), s.column(8, "cost")),
-        ])  # fmt: skip
-    heads = ["scene", "SAH before, after", "EPO before, after", "SAH before, cost after",
-             "SAH after, cost after"]  # fmt: skip
+        values.append(
+            [
+                pearson(s.column(2, "sah"), s.column(8, "sah")),
+                pearson(s.column(2, "epo"), s.column(8, "epo")),
+                pearson(s.column(2, "sah"), s.column(8, "cost")),
+                pearson(s.column(8, "sah"), s.column(8, "cost")),
+            ]
+        )
+    heads = [
+        "scene",
+        "SAH before, after",
+        "EPO before, after",
+        "SAH before, cost after",
+        "SAH after, cost after",
+    ]
     rows = [[s.name, *map(_r, row)] for s, row in zip(scenes, values, strict=True)]
-    yield from _table("r between figures before the collapse to eight children and after it",
-                      heads, [*rows, _means(values, _r)])  # fmt: skip
+    yield from _table(
+        "r between figures before the collapse to eight children and after it",
+        heads,
+        [*rows, _means(values, _r)],
+    )
 
 
 def _choices(scenes: Sequence[SceneFigures]) -> Iterable[str]:
@@ -501,8 +526,17 @@ def _orders(scenes: Sequence[SceneFigures]) -> Iterable[str]:
             cells += [_geometric(tree[kind] for tree in each) for kind in kinds]
         values.append(cells)
         rows.append([scene.name, *(f"{x:.2f}" for x in cells)])
-    heads = ["scene", "occluded", "larger", "blocking", "worth", "occluded", "larger", "blocking",
-             "worth"]  # fmt: skip
+    heads = [
+        "scene",
+        "occluded",
+        "larger",
+        "blocking",
+        "worth",
+        "occluded",
+        "larger",
+        "blocking",
+        "worth",
+    ]
     last = ["mean", *(f"{x:.2f}" for x in np.mean(values, axis=0))]
     yield from _table(
         "Any-hit rays, eight children: counted cost over that of near first (mean over the trees); "

@@ -60,8 +60,12 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, help="also write the tables here")
     asked = parser.parse_args()
     lines = [f"mibvh {mibvh.__version__}; {os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}"]
-    lines += ["", "| scene | lanes | trees | fit | node of 2 | of 4 | of 8 | box beyond two | "
-              "ns per triangle | r | error |", f"|---|---|---:|---|{'---:|' * 7}"]  # fmt: skip
+    lines += [
+        "",
+        "| scene | lanes | trees | fit | node of 2 | of 4 | of 8 | box beyond two | "
+        "ns per triangle | r | error |",
+        f"|---|---|---:|---|{'---:|' * 7}",
+    ]
     for source in asked.scenes:
         for lanes in asked.lanes.split(","):
             timed = measure(source, asked.trees, lanes, asked.rounds, asked.clock)
@@ -89,9 +93,11 @@ def measure(source: str, folder: Path | None, lanes: str, rounds: int, clock: st
     scene = mibvh.load(source)
     kept = folder / _name(source) if folder else Path("none")
     file = kept / "rays160.npz"
-    rays = mibvh.RaySet.load(file) if file.exists() else mibvh.diffuse_rays(
-        scene, width=160, height=120, samples=1
-    )  # fmt: skip
+    rays = (
+        mibvh.RaySet.load(file)
+        if file.exists()
+        else mibvh.diffuse_rays(scene, width=160, height=120, samples=1)
+    )
     if lanes == "scalar":  # as many times dearer
         rays = rays.select(slice(None, None, 8))
     scale = float(unit_scale(scene.triangles))

@@ -520,9 +520,12 @@ def rays(
         raise MibvhError("--bounces is for diffuse rays; name a later vertex as in shadow2")
     loaded = _load(scene, define)
     how: dict[str, Any] = {
-        "viewpoints": viewpoints, "width": width, "height": height, "samples": samples,
+        "viewpoints": viewpoints,
+        "width": width,
+        "height": height,
+        "samples": samples,
         "seed": seed,
-    }  # fmt: skip
+    }
     with _progress() as bar:
         task = bar.add_task("rays", total=1.0)
         how["progress"] = lambda done: bar.update(task, completed=done)
@@ -569,10 +572,16 @@ def trace(
     triangles = _load(scene, define).triangles
     with _doing("tracing"):
         hits = run(
-            read_tree(tree, "npz"), triangles, read_rays(rays), lanes,  # type: ignore[arg-type]
-            style=style, cull=cull, any_hit=any_hit or None,
-            child_order=child_order, repeats=repeats,  # type: ignore[arg-type]
-        )  # fmt: skip
+            read_tree(tree, "npz"),
+            triangles,
+            read_rays(rays),
+            lanes,  # type: ignore[arg-type]
+            style=style,
+            cull=cull,
+            any_hit=any_hit or None,
+            child_order=child_order,
+            repeats=repeats,  # type: ignore[arg-type]
+        )
     if output:
         hits.save(output)
     _print(hits.summary(), as_json)
@@ -623,10 +632,18 @@ def render(
     with _progress() as bar:
         task = bar.add_task("scene", total=1.0)
         facts, notes = run(
-            scene, output, integrator, parameters=parameters, size=pixels, spp=spp, sensor=sensor,
-            defines=_parse_pairs(define or [], "-D"), seed=seed, quantities=quantity or (),
+            scene,
+            output,
+            integrator,
+            parameters=parameters,
+            size=pixels,
+            spp=spp,
+            sensor=sensor,
+            defines=_parse_pairs(define or [], "-D"),
+            seed=seed,
+            quantities=quantity or (),
             progress=_show(bar, task),
-        )  # fmt: skip
+        )
     for note in notes:
         typer.echo(f"mibvh: {scene}: {note}", err=True)
     means = facts.pop("means") if not as_json else {}
@@ -911,9 +928,11 @@ def scenes_paper(as_json: Json = False) -> None:
     for scene in known:
         figures = (scene.r_sah, scene.r_sah_epo, scene.alpha)
         table.add_row(
-            scene.name, f"{scene.triangles:,}" if scene.triangles else "",
-            *("" if f is None else f"{f:g}" for f in figures), scene.where or "",
-        )  # fmt: skip
+            scene.name,
+            f"{scene.triangles:,}" if scene.triangles else "",
+            *("" if f is None else f"{f:g}" for f in figures),
+            scene.where or "",
+        )
     Console().print(table)
     typer.echo(
         f"\nThe slides name {len(known)} of the {published().scenes} scenes; what is not known is "

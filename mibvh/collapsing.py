@@ -82,9 +82,11 @@ def collapse(
         raise MibvhError(f"a tree is collapsed by optimal or greedy, not {method!r}")
     if max_leaf is not None and (method == "greedy" or max_leaf < 1):
         raise MibvhError(f"max_leaf must be at least 1, and the method optimal, not {max_leaf}")
-    costs = {"c_inner": tree.meta.get("c_inner", 1.2) if c_inner is None else c_inner,
-             "c_box": c_box,
-             "c_tri": tree.meta.get("c_tri", 1.0) if c_tri is None else c_tri}  # fmt: skip
+    costs = {
+        "c_inner": tree.meta.get("c_inner", 1.2) if c_inner is None else c_inner,
+        "c_box": c_box,
+        "c_tri": tree.meta.get("c_tri", 1.0) if c_tri is None else c_tri,
+    }
     if not min(costs.values()) >= 0:
         raise MibvhError(f"costs are not negative: {costs}")
     if weights is not None and measure is not None:
@@ -94,9 +96,15 @@ def collapse(
         kind = _greedy(tree.left, weight, width)
     else:
         split = _programme(
-            tree.left, tree.count, weight, width, costs["c_inner"], costs["c_box"],
-            costs["c_tri"], max_leaf or 0,
-        )  # fmt: skip
+            tree.left,
+            tree.count,
+            weight,
+            width,
+            costs["c_inner"],
+            costs["c_box"],
+            costs["c_tri"],
+            max_leaf or 0,
+        )
         kind = _chosen(tree.left, split, width)
     nodes, child, children = _number(tree.left, kind)
     by = measure.name if measure else "area" if weights is None else "given"
@@ -105,9 +113,17 @@ def collapse(
     if max_leaf is not None and tree.splits_triangles:
         first, count, references = _without_repeats(child, first, count, references)
     return WideTree(
-        tree.lower[nodes], tree.upper[nodes], child, children, first, count, references,
-        width, False, {**tree.meta, **costs, "collapse": options},
-    )  # fmt: skip
+        tree.lower[nodes],
+        tree.upper[nodes],
+        child,
+        children,
+        first,
+        count,
+        references,
+        width,
+        False,
+        {**tree.meta, **costs, "collapse": options},
+    )
 
 
 def _without_repeats(child: I32, first: I32, count: I32, references: I32) -> tuple[I32, I32, I32]:
@@ -327,9 +343,14 @@ def unfold(tree: Tree, triangles: Any) -> Tree:
     triangles = as_triangles(triangles)
     tree.check_matches(triangles)
     lower, upper, left, first, count = _unfold(
-        tree.lower, tree.upper, tree.left, tree.first, tree.count, tree.references,
+        tree.lower,
+        tree.upper,
+        tree.left,
+        tree.first,
+        tree.count,
+        tree.references,
         triangles.corners,
-    )  # fmt: skip
+    )
     return Tree(lower, upper, left, first, count, tree.references, {**tree.meta, "unfolded": True})
 
 

@@ -13,8 +13,16 @@ from mibvh.errors import MibvhError
 #: tree whose EPO is computed; each reference of a tree that is kept, with what is derived from it;
 #: of the records that kernels read.
 #: Builders state theirs where they are registered.
-BYTES = {"generate": 200.0, "load": 350.0, "rays": 290.0, "bounce": 120.0, "trace": 456.0,
-         "epo": 440.0, "tree": 64.0, "records": 110.0}  # fmt: skip
+BYTES = {
+    "generate": 200.0,
+    "load": 350.0,
+    "rays": 290.0,
+    "bounce": 120.0,
+    "trace": 456.0,
+    "epo": 440.0,
+    "tree": 64.0,
+    "records": 110.0,
+}
 #: References that a tree may have: its nodes, twice as many, are numbered by 31 bits.
 MOST_REFERENCES = 1 << 30
 

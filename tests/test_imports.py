@@ -15,8 +15,8 @@ ROOT = Path(mibvh.__file__).parent
 ROOMS = [
     ["triangles"],
     ["tree", "nodes", "hierarchy", "validation", "layouts.arrays"],
-    ["measures"],
     ["wide_tree", "wide_validation", "collapsing", "quantise", "layouts"],
+    ["measures"],
     ["builders"],
     ["metrics"],
     ["rays.rayset", "rays.read", "rays.order", "rays.mixture"],

@@ -126,9 +126,12 @@ def test_a_scene_too_large_for_a_study_is_left_out(tmp_path, free):
 def under_limit(room, *words):
     """Run a command in a process that may ask for so many more bytes of address space."""
     return subprocess.run(
-        [sys.executable, "-c", LIMITED, str(room), *words], capture_output=True, text=True,
-        check=False, timeout=300,
-    )  # fmt: skip
+        [sys.executable, "-c", LIMITED, str(room), *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
 
 
 def test_a_build_under_ulimit(tmp_path):

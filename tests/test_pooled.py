@@ -20,9 +20,12 @@ def scene(name, alpha, level=1.0, noise=0.0, seed=0):
     sah, epo = rng.uniform(20, 60, 9), rng.uniform(1, 30, 9)
     cost = level * ((1 - alpha) * sah + alpha * epo) * np.exp(noise * rng.standard_normal(9))
     return scene_record(
-        [tree_row(b, sah=s, epo=e, counted_cost=c)
-         for b, s, e, c in zip(BUILDERS, sah, epo, cost, strict=True)], name
-    )  # fmt: skip
+        [
+            tree_row(b, sah=s, epo=e, counted_cost=c)
+            for b, s, e, c in zip(BUILDERS, sah, epo, cost, strict=True)
+        ],
+        name,
+    )
 
 
 def rows(records, *names):
@@ -35,13 +38,20 @@ def test_scenes_of_another_level_do_not_make_an_r():
     rng = np.random.default_rng(5)
     records = [
         scene_record(
-            [tree_row(b, sah=k * s, epo=1.0 + s, counted_cost=k * c) for b, s, c in
-             zip(BUILDERS, rng.uniform(9, 11, 9), rng.uniform(9, 11, 9), strict=True)], str(k)
+            [
+                tree_row(b, sah=k * s, epo=1.0 + s, counted_cost=k * c)
+                for b, s, c in zip(
+                    BUILDERS, rng.uniform(9, 11, 9), rng.uniform(9, 11, 9), strict=True
+                )
+            ],
+            str(k),
         )
         for k in (1, 10, 100, 1000)
-    ]  # fmt: skip
-    x, y = (np.concatenate([r.column(n) / r.column(n).mean() for r in records])
-            for n in ("sah", "counted_cost"))  # fmt: skip
+    ]
+    x, y = (
+        np.concatenate([r.column(n) / r.column(n).mean() for r in records])
+        for n in ("sah", "counted_cost")
+    )
     found = rows(records, "SAH").loc["SAH"]
     assert found["pooled"] == pytest.approx(np.corrcoef(x, y)[0, 1])
     assert abs(found["pooled"]) < 0.5
@@ -99,9 +109,15 @@ def test_the_interval_of_an_r_over_few_trees():
 
 def test_pieces_of_the_level_multiply_to_it():
     values = {
-        "sah": 20.0, "point_query": 6.0, "length_ratio": 0.5, "sah_lines": 30.0,
-        "line_share": 0.6, "touched": 12.0, "counted_cost": 15.0, "hit_share": 0.7,
-    }  # fmt: skip
+        "sah": 20.0,
+        "point_query": 6.0,
+        "length_ratio": 0.5,
+        "sah_lines": 30.0,
+        "line_share": 0.6,
+        "touched": 12.0,
+        "counted_cost": 15.0,
+        "hit_share": 0.7,
+    }
     record = scene_record([tree_row("bbvh", **values)])
     found = level_pieces([record]).iloc[0]
     assert found["level"] == pytest.approx(16 / 15)

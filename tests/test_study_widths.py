@@ -124,8 +124,17 @@ def test_tables_claims_and_figures_are_of_every_width(found):
     assert alone == pytest.approx(np.corrcoef(sah, cost)[0, 1])
     assert len(wide_trees(found.scenes)) == 3 * len(BUILDERS)
     names = [sheet.name for sheet in answers(found.scenes, found.correlations)]
-    for name in ("width-r", "width-scenes", "width-builders", "width-before", "width-optimised",
-                 "width-trees", "kinds-r", "kinds-scenes", "kinds-builders"):  # fmt: skip
+    for name in (
+        "width-r",
+        "width-scenes",
+        "width-builders",
+        "width-before",
+        "width-optimised",
+        "width-trees",
+        "kinds-r",
+        "kinds-scenes",
+        "kinds-builders",
+    ):
         assert name in names
         assert (found.folder / "tables" / f"{name}.csv").stat().st_size > 0
     told = " ".join(claims(found.scenes, found.correlations)["claim"])
@@ -158,8 +167,12 @@ def test_again_recomputes_nothing(found, scene, monkeypatch):
     def fail(*_, **__):
         pytest.fail("something was made again")
 
-    for name in ("measure.counts.Tracer", "measure.widths.overlap", "measure.widths.collapse",
-                 "measure.kinds.make_rays"):  # fmt: skip
+    for name in (
+        "measure.counts.Tracer",
+        "measure.widths.overlap",
+        "measure.widths.collapse",
+        "measure.kinds.make_rays",
+    ):
         monkeypatch.setattr(f"mibvh.studies.{name}", fail)
     again = mibvh.study([scene], found.folder, widths="4,8", kinds=KINDS, **CHOICES)
     assert again.failures == []

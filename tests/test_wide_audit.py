@@ -76,8 +76,9 @@ def test_wrong_counts_and_hits_are_found(room, wide):
 
 def _shrunk(wide):
     upper = wide.upper.copy()
-    leaf = int(np.flatnonzero(wide.is_leaf & (np.ptp([wide.lower, wide.upper], axis=0) > 0)
-                              .all(axis=1))[3])  # fmt: skip
+    leaf = int(
+        np.flatnonzero(wide.is_leaf & (np.ptp([wide.lower, wide.upper], axis=0) > 0).all(axis=1))[3]
+    )
     upper[leaf] = (wide.lower[leaf] + wide.upper[leaf]) / 2
     return wide.replace(upper=upper)
 

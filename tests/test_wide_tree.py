@@ -112,8 +112,9 @@ def test_the_programme_finds_the_cheapest_of_all_wide_trees(width, c_box, max_le
     triangles, tree = tree_of("lbvh", 24, seed=1)
     tree = unfold(tree, triangles)
     for weights in (None, np.random.default_rng(5).random(len(tree))):
-        wide = collapse(tree, width, weights=weights, c_inner=1.5, c_box=c_box, c_tri=0.9,
-                        max_leaf=max_leaf)  # fmt: skip
+        wide = collapse(
+            tree, width, weights=weights, c_inner=1.5, c_box=c_box, c_tri=0.9, max_leaf=max_leaf
+        )
         weight = tree.half_areas if weights is None else weights
         best = cheapest(tree, width, weight, 1.5, c_box, 0.9, max_leaf or 0)
         # Ranges name the nodes: none of the tree's are alike.
@@ -227,8 +228,16 @@ def test_nodes_that_are_no_tree_are_refused():
     lower, upper, children, first, count, references, root = shuffled(collapse(tree, 4), 1)
 
     def refused(match, **changes):
-        arrays = {"lower": lower, "upper": upper, "children": children, "first": first,
-                  "count": count, "references": references, "root": root, **changes}  # fmt: skip
+        arrays = {
+            "lower": lower,
+            "upper": upper,
+            "children": children,
+            "first": first,
+            "count": count,
+            "references": references,
+            "root": root,
+            **changes,
+        }
         with pytest.raises(mibvh.MibvhError, match=match):
             WideTree.from_nodes(**arrays)
 
@@ -397,9 +406,15 @@ def test_a_chain_deeper_than_the_stack():
     count[child >= 0] = np.arange(depth + 1, 1, -1)
     first[2::2] = np.arange(depth, 0, -1)
     tree = WideTree(
-        np.zeros((len(child), 3), np.float32), np.ones((len(child), 3), np.float32), child,
-        children, first, count, np.arange(depth + 1, dtype=np.int32), 4,
-    )  # fmt: skip
+        np.zeros((len(child), 3), np.float32),
+        np.ones((len(child), 3), np.float32),
+        child,
+        children,
+        first,
+        count,
+        np.arange(depth + 1, dtype=np.int32),
+        4,
+    )
     assert tree.validate() == ["node 129 is deeper than the traversal stack of 64"]
 
 

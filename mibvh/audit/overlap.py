@@ -57,9 +57,12 @@ def check_epo(tree: Tree | WideTree, triangles: Triangles, value: float, seed: i
     expected = float(groups.mean())
     error = float(groups.std(ddof=1) / np.sqrt(len(groups)))
     return Check.of(
-        "epo", value, expected, _ERRORS * error + _ROUNDING * max(expected, abs(value)) + 1e-9,
+        "epo",
+        value,
+        expected,
+        _ERRORS * error + _ROUNDING * max(expected, abs(value)) + 1e-9,
         f"estimated from {_GROUPS * _POINTS:,} points on the surfaces",
-    )  # fmt: skip
+    )
 
 
 def estimates(
@@ -95,10 +98,21 @@ def estimates(
         place = (np.arange(points) + rng.random()) / points * along[-1]
         chosen = walk[np.minimum(np.searchsorted(along, place, side="right"), len(walk) - 1)]
         chosen = np.sort(chosen)
-        found[group] = _points_cost(
-            tree.lower, tree.upper, tree.left, children, costs, parents, leaves, begin, chosen,
-            _on_triangles(triangles.corners[chosen], rng),
-        ) / points  # fmt: skip
+        found[group] = (
+            _points_cost(
+                tree.lower,
+                tree.upper,
+                tree.left,
+                children,
+                costs,
+                parents,
+                leaves,
+                begin,
+                chosen,
+                _on_triangles(triangles.corners[chosen], rng),
+            )
+            / points
+        )
 
     run_blocks(estimate, _GROUPS, 1)
     return found

@@ -16,8 +16,17 @@ _TARGET = "counted_cost"
 #: What all kinds together are called.
 MIXED = "mixed"
 #: Quantities whose mean over the rays of all kinds is that of the kinds' means.
-_MEANS = ("sah", "epo", "length_ratio", "point_query", "touched", "hit_share", "saved", "blocked",
-          _TARGET)  # fmt: skip
+_MEANS = (
+    "sah",
+    "epo",
+    "length_ratio",
+    "point_query",
+    "touched",
+    "hit_share",
+    "saved",
+    "blocked",
+    _TARGET,
+)
 
 
 def kind_predictors() -> tuple[Predictor, ...]:
@@ -79,14 +88,16 @@ def kind_correlations(records: Records) -> pd.DataFrame:
                     continue
                 weights, values = one(known, place)
                 measured = known[place].measured
-                rows.append({
-                    "scene": scene,
-                    "kind": kind,
-                    "predictor": one.name,
-                    "alpha": alpha_of(weights),
-                    "pearson": pearson(values, measured),
-                    "level": float(np.mean(values / measured)) if measured.all() else np.nan,
-                })  # fmt: skip
+                rows.append(
+                    {
+                        "scene": scene,
+                        "kind": kind,
+                        "predictor": one.name,
+                        "alpha": alpha_of(weights),
+                        "pearson": pearson(values, measured),
+                        "level": float(np.mean(values / measured)) if measured.all() else np.nan,
+                    }
+                )
     return pd.DataFrame(rows, columns=["scene", "kind", "predictor", "alpha", "pearson", "level"])
 
 
@@ -117,17 +128,19 @@ def kind_facts(records: Records) -> pd.DataFrame:
         for name, sample in samples.items():
             count, weight, radius = facts.get(name, (sum(k.rays for k in found.sets), 1.0, 0.0))
             cost, first = sample.measured, int(sample.measured.argmin())
-            rows.append({
-                "scene": record.scene,
-                "kind": name,
-                "rays": count,
-                "hit": float(sample.values["hit_share"][0]),
-                "s": float(sample.values["length_ratio"][0]),
-                "weight": weight,
-                "radius": radius or np.nan,
-                "cheapest": record.trees[first].builder,
-                "spread": float(cost.max() / cost[first]) if cost[first] > 0 else np.nan,
-            })  # fmt: skip
+            rows.append(
+                {
+                    "scene": record.scene,
+                    "kind": name,
+                    "rays": count,
+                    "hit": float(sample.values["hit_share"][0]),
+                    "s": float(sample.values["length_ratio"][0]),
+                    "weight": weight,
+                    "radius": radius or np.nan,
+                    "cheapest": record.trees[first].builder,
+                    "spread": float(cost.max() / cost[first]) if cost[first] > 0 else np.nan,
+                }
+            )
     return pd.DataFrame(rows)
 
 

@@ -50,13 +50,15 @@ def width_correlations(records: Records) -> pd.DataFrame:
             for one in predictors():
                 if one.knows(known[place].values):
                     weights, values = one(known, place)
-                    rows.append({
-                        "scene": scene,
-                        "width": width,
-                        "predictor": one.name,
-                        "alpha": alpha_of(weights),
-                        "pearson": pearson(values, known[place].measured),
-                    })  # fmt: skip
+                    rows.append(
+                        {
+                            "scene": scene,
+                            "width": width,
+                            "predictor": one.name,
+                            "alpha": alpha_of(weights),
+                            "pearson": pearson(values, known[place].measured),
+                        }
+                    )
     return pd.DataFrame(rows, columns=["scene", "width", "predictor", "alpha", "pearson"])
 
 
@@ -107,13 +109,15 @@ def over_best(trees: pd.DataFrame) -> pd.DataFrame:
         own = of.set_index("scene")[_TARGET]
         least = cost.xs(width, level="width").groupby("scene").min()[own.index]
         at_two = binary.xs(builder, level="builder")[own.index]
-        rows.append({
-            "builder": builder,
-            "width": width,
-            "mean": _geometric((own / least).to_numpy()),
-            "best": int((own == least).sum()),
-            "over_binary": _geometric((own / at_two).to_numpy()),
-        })  # fmt: skip
+        rows.append(
+            {
+                "builder": builder,
+                "width": width,
+                "mean": _geometric((own / least).to_numpy()),
+                "best": int((own == least).sum()),
+                "over_binary": _geometric((own / at_two).to_numpy()),
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -138,15 +142,17 @@ def before_and_after(trees: pd.DataFrame, width: int) -> pd.DataFrame:
     for scene, of in trees.groupby("scene", sort=False):
         two, wide = (of[of["width"] == w].set_index("builder") for w in (2, width))
         sah = two["sah"].to_numpy(), wide["sah"].to_numpy()
-        rows.append({
-            "scene": scene,
-            "sah": pearson(*sah),
-            "epo": pearson(two["epo"], wide["epo"]),
-            "before": pearson(sah[0], wide[_TARGET]),
-            "after": pearson(sah[1], wide[_TARGET]),
-            "cost": pearson(two[_TARGET], wide[_TARGET]),
-            "kept": _slope(*sah),
-        })  # fmt: skip
+        rows.append(
+            {
+                "scene": scene,
+                "sah": pearson(*sah),
+                "epo": pearson(two["epo"], wide["epo"]),
+                "before": pearson(sah[0], wide[_TARGET]),
+                "after": pearson(sah[1], wide[_TARGET]),
+                "cost": pearson(two[_TARGET], wide[_TARGET]),
+                "kept": _slope(*sah),
+            }
+        )
     return pd.DataFrame(rows)
 
 

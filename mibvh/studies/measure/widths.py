@@ -91,12 +91,14 @@ class _Collapsed:
         """Judge the wide tree and count the rays in it."""
         wide = self.wide(width)
         counts = self.counter(wide)
-        return _Values({
-            "sah": sah(wide),
-            "epo": float(node_costs(wide) @ self.fraction[binary_nodes(wide, self.tree)]),
-            "mean_children": wide.stats()["mean_children"],
-            **counts.values,
-        })  # fmt: skip
+        return _Values(
+            {
+                "sah": sah(wide),
+                "epo": float(node_costs(wide) @ self.fraction[binary_nodes(wide, self.tree)]),
+                "mean_children": wide.stats()["mean_children"],
+                **counts.values,
+            }
+        )
 
 
 def width_experiment(setting: Setting, report: Reporter) -> WidthResult:

@@ -78,8 +78,16 @@ class StudyOptions:
     kinds: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        numbers = ("width", "height", "samples", "bounces", "scalar_rays", "seed", "seconds",
-                   "standard_error")  # fmt: skip
+        numbers = (
+            "width",
+            "height",
+            "samples",
+            "bounces",
+            "scalar_rays",
+            "seed",
+            "seconds",
+            "standard_error",
+        )
         check(**{name: getattr(self, name) for name in numbers})
         if self.viewpoints != 0:  # all of a scene
             check(viewpoints=self.viewpoints)

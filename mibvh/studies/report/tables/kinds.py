@@ -64,8 +64,10 @@ def _overview(found: pd.DataFrame) -> Sheet:
 
 def _scenes(found: pd.DataFrame, facts: pd.DataFrame) -> Sheet:
     keys = ["scene", "kind"]
-    by = {c: found.pivot(index=keys, columns="predictor", values=c)
-          for c in ("pearson", "alpha", "level")}  # fmt: skip
+    by = {
+        c: found.pivot(index=keys, columns="predictor", values=c)
+        for c in ("pearson", "alpha", "level")
+    }
     names = [one.name for one in kind_predictors() if one.name in by["pearson"]]
     frame = facts.set_index(keys)
     parts = [by["pearson"][names].add_prefix("r "), by["alpha"][list(_ALPHAS)].add_prefix("α ")]

@@ -140,9 +140,10 @@ def _per_scene(records: Records, found: pd.DataFrame) -> Sheet:
         for key in ("trees_low", "trees_high", "spearman"):
             frame[key] = finite[key]
     for key, name, column in (
-        ("held_out", "fitted", "held_out"), ("alpha", "fitted", "alpha"),
+        ("held_out", "fitted", "held_out"),
+        ("alpha", "fitted", "alpha"),
         ("estimate", "estimated", "alpha"),
-    ):  # fmt: skip
+    ):
         frame[key] = of.loc[name][column] if name in names else float("nan")
     for target in targets():
         for record in records:
