@@ -9,6 +9,7 @@ the CPU time of the process. Building and compiling are done beforehand.
 from __future__ import annotations
 
 import argparse
+import functools
 import time
 from collections.abc import Callable
 from typing import Any
@@ -58,7 +59,7 @@ def measure(source: str, size: tuple[int, int], spp: int, builder: str, rounds: 
     times = np.array(
         [
             [
-                seconds(lambda one=one: one.render(scene, camera, seed=0, spp=spp))
+                seconds(functools.partial(one.render, scene, camera, seed=0, spp=spp))
                 for one in found.values()
             ]
             for _ in range(rounds)

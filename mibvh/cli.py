@@ -579,8 +579,8 @@ def trace(
             style=style,
             cull=cull,
             any_hit=any_hit or None,
-            child_order=child_order,
-            repeats=repeats,  # type: ignore[arg-type]
+            child_order=child_order,  # type: ignore[arg-type]
+            repeats=repeats,
         )
     if output:
         hits.save(output)

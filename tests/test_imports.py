@@ -15,8 +15,9 @@ ROOT = Path(mibvh.__file__).parent
 ROOMS = [
     ["triangles"],
     ["tree", "nodes", "hierarchy", "validation", "layouts.arrays"],
-    ["wide_tree", "wide_validation", "collapsing", "quantise", "layouts"],
+    ["wide_tree", "wide_validation", "quantise", "layouts"],
     ["measures"],
+    ["collapsing"],
     ["builders"],
     ["metrics"],
     ["rays.rayset", "rays.read", "rays.order", "rays.mixture"],

@@ -248,7 +248,8 @@ def finite(triangles: Triangles, options: FiniteOptions, context: Context) -> Dr
     first = finish(search.start, **search.common, meta={"triangles": len(triangles)})
     rays, said = training_rays(triangles, options, context)
     segments = cut_at_hits(first, triangles, *rays)
-    weight, left_out = options.area_weight, {}
+    weight: float = options.area_weight
+    left_out: dict[str, list[float]] = {}
     if options.unseen:
         weight, left_out = search.weight_for_unseen(segments)
     if np.isinf(weight):
