@@ -53,18 +53,12 @@ def measure(source: str, size: tuple[int, int], spp: int, builder: str, rounds: 
     params["film.size"] = list(size)
     params.update()
     found = integrators(builder)
-    images = {
-        name: np.array(one.render(scene, camera, seed=0, spp=spp)) for name, one in found.items()
+    renders = {
+        name: functools.partial(one.render, scene, camera, seed=0, spp=spp)
+        for name, one in found.items()
     }
-    times = np.array(
-        [
-            [
-                seconds(functools.partial(one.render, scene, camera, seed=0, spp=spp))
-                for one in found.values()
-            ]
-            for _ in range(rounds)
-        ]
-    )
+    images = {name: np.array(render()) for name, render in renders.items()}
+    times = np.array([[seconds(render) for render in renders.values()] for _ in range(rounds)])
     shares = np.median(times[:, :1] / times[:, 1:], axis=0)
     mean = float(images["path"].mean())
     styles = float(np.abs(images["wide"] - images["single"]).max()) / mean

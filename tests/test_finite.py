@@ -107,6 +107,17 @@ def test_for_unseen_viewpoints_it_is_no_worse_than_the_area_tree():
     assert [len(found) for found in report["left_out"].values()] == [len(seen.sensors)] * 2
 
 
+def test_where_nothing_can_be_left_out_it_is_the_area_tree():
+    scene = mibvh.load("cornell@1500")
+    scene.sensors = scene.sensors[:1]
+    tree = mibvh.build(scene, "finite", unseen=True, **FEW)
+    area = mibvh.build(scene, "bittner", start="sbvh")
+    assert tree.meta["report"]["area_weight"] == "area alone"
+    arrays = area.to_arrays()
+    for name, found in tree.to_arrays().items():
+        np.testing.assert_array_equal(found, arrays[name])
+
+
 def test_the_weight_for_unseen_viewpoints_goes_by_what_is_left_out():
     """A gain within its error keeps the area tree; one beyond it does not."""
     from mibvh.builders.finite import FiniteOptions, _Search

@@ -194,7 +194,7 @@ class _Search:
 
     def area_tree(self) -> Draft:
         """The best combination that knows no rays: `bittner` from `sbvh`, by area."""
-        return reinserted(self.start, self.insertion, self.by_area)
+        return reinserted(self.start, InsertionOptions(**self.common), self.by_area)
 
     def weight_for_unseen(self, segments: Segments) -> tuple[float, dict[str, list[float]]]:
         """Choose the weight of the area by cross-validation; infinite: the area alone.
@@ -240,7 +240,6 @@ class _Search:
     "the share of rays that touch a box",
     source="mibvh, docs/better-trees.md",
     options=FiniteOptions,
-    traces=True,
 )
 def finite(triangles: Triangles, options: FiniteOptions, context: Context) -> Draft:
     """Build for the rays of the scene's cameras, or those that are given."""
@@ -248,7 +247,7 @@ def finite(triangles: Triangles, options: FiniteOptions, context: Context) -> Dr
     first = finish(search.start, **search.common, meta={"triangles": len(triangles)})
     rays, said = training_rays(triangles, options, context)
     segments = cut_at_hits(first, triangles, *rays)
-    weight: float = options.area_weight
+    weight = options.area_weight
     left_out: dict[str, list[float]] = {}
     if options.unseen:
         weight, left_out = search.weight_for_unseen(segments)
