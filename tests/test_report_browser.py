@@ -135,6 +135,7 @@ def test_tooltips_answer_to_mouse_and_keyboard(page):
     hover(page, found(page, "h1")[0])
     assert not tip.is_displayed()
 
+    page.execute_script("document.querySelectorAll('details').forEach(d => { d.open = true })")
     term = found(page, ".term")[0]
     page.execute_script("arguments[0].focus()", term)
     assert tip.is_displayed()
@@ -145,7 +146,7 @@ def test_tooltips_answer_to_mouse_and_keyboard(page):
     assert tip.text != term.get_attribute("data-tip") or not tip.is_displayed()
 
 
-@pytest.mark.parametrize("width", [400, 1800])
+@pytest.mark.parametrize("width", [400, 1400, 1800])
 def test_no_page_is_wider_than_its_window(page, width):
     page.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride",
@@ -155,3 +156,17 @@ def test_no_page_is_wider_than_its_window(page, width):
         assert page.execute_script("return document.documentElement.scrollWidth") <= width
     finally:
         page.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_paper_shows_formulas_and_tables_and_then_folds_them_again(page):
+    """Of what is folded only that is printed which stands nowhere else."""
+    state = "return [...document.querySelectorAll('details.long')].map(d => [d.open, d.className])"
+    assert not any(opened for opened, _ in page.execute_script(state))
+    page.execute_script("dispatchEvent(new Event('beforeprint'))")
+    after = page.execute_script(state)
+    assert {opened for opened, name in after if "paper" in name} == {True}
+    assert {opened for opened, name in after if "paper" not in name} == {False}
+    cards = [e for e in found(page, ".card code") if e.is_displayed()]
+    assert len(cards) == len(found(page, ".card"))
+    page.execute_script("dispatchEvent(new Event('afterprint'))")
+    assert not any(opened for opened, _ in page.execute_script(state))

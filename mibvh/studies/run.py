@@ -304,6 +304,8 @@ def write_outputs(
     Whatever the records say, nothing outside the folder is written or removed.
     """
     from mibvh.studies.analyse.correlations import correlations
+    from mibvh.studies.record.sheet import literal
+    from mibvh.studies.report.answer import answer
     from mibvh.studies.report.html import write_report
     from mibvh.studies.report.tables import answers, scene_answers
     from mibvh.studies.report.tidy import write_sheets, write_tables
@@ -315,7 +317,9 @@ def write_outputs(
     written = write_sheets(folder, [*sheets, *(sheet for scene in of_scenes for sheet in scene)])
     write_text(folder / "environment.json", json.dumps(records[-1].environment, indent=2))
     missing = [f"Left out: {name}: {why}\n" for name, why in (left_out or {}).items()]
-    write_text(folder / "results.md", "\n".join([*missing, *(s.markdown() for s in sheets)]))
+    findings = "".join(f"- {literal(line)}\n" for line in answer(records, found))
+    parts = [*missing, findings, *(sheet.markdown() for sheet in sheets)]
+    write_text(folder / "results.md", "\n".join(parts))
     written += write_report(folder, records, found, sheets, of_scenes, left_out or {}, figures)
     store = Store(folder / "cache")
     for name in _written_before(store) - set(written):

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from mibvh.errors import MibvhError
 from mibvh.files import write_text
+from mibvh.scene import scene_name
 from mibvh.studies import PROFILES, StudyOptions, study
 from mibvh.studies.analyse.correlations import correlations
 from mibvh.studies.record.scene import SceneRecord
@@ -59,7 +60,8 @@ def _make(chosen: argparse.Namespace) -> int:
     if not chosen.pages_only and not run(scenes, chosen.output, options, ends):
         sys.stderr.write("results: out of time; run it again to go on\n")
     records = records_of(scenes, chosen.output, options)
-    missing = [path.parent.name for path in scenes][len(records) :]
+    finished = {record.scene for record in records}
+    missing = [name for name in map(scene_name, scenes) if name not in finished]
     write_outputs(chosen.output, records, {}, _PNG)
     old = write_docs(records, chosen.docs, _command(chosen))
     _figures(records, chosen)
@@ -67,7 +69,7 @@ def _make(chosen: argparse.Namespace) -> int:
         f"{len(records)} of {len(scenes)} scenes; report: {chosen.output}/report.html\n"
     )
     if missing:
-        sys.stdout.write(f"without {len(missing)} scenes that are not finished\n")
+        sys.stdout.write(f"not finished, and left out: {', '.join(missing)}\n")
     if old:
         sys.stdout.write(f"still of version 0.1: {', '.join(old)}\n")
     for scene, tree, check in failures(records):

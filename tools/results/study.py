@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
 from collections.abc import Sequence
@@ -115,9 +116,10 @@ def records_of(scenes: Sequence[Path], folder: Path, options: StudyOptions) -> l
     found = []
     for scene in scenes:
         kept = store.read("scene-" + file_name(scene_name(scene)))
-        record = SceneRecord.from_json(kept) if kept is not None else None
-        if record and record.code == code and _same(record.options, options):
-            found.append(record)
+        with contextlib.suppress(MibvhError):  # a record of another version
+            record = SceneRecord.from_json(kept) if kept is not None else None
+            if record and record.code == code and _same(record.options, options):
+                found.append(record)
     if not found:
         raise MibvhError(f"{folder}: no scene is finished yet")
     return found

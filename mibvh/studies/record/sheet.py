@@ -176,10 +176,10 @@ class Sheet:
         """As a Markdown table under a heading."""
         heads = [column.head for column in self.columns]
         marks = ["---" if self.is_text(column) else "---:" for column in self.columns]
-        rows = ([_markdown(cell.text) for cell in row] for row in self.rows())
-        lines = [[_markdown(head) for head in heads], marks, *rows]
+        rows = ([literal(cell.text) for cell in row] for row in self.rows())
+        lines = [[literal(head) for head in heads], marks, *rows]
         table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-        parts = (f"### {_markdown(self.title)}", _markdown(self.note), table)
+        parts = (f"### {literal(self.title)}", literal(self.note), table)
         return "\n\n".join(part for part in parts if part) + "\n"
 
     def latex(self) -> str:
@@ -248,7 +248,8 @@ def _latex(text: str) -> str:
     return " ".join(text.split()).translate(_LATEX)
 
 
-def _markdown(text: str) -> str:
+def literal(text: str) -> str:
+    """Return text that Markdown shows as it is."""
     return _MARKDOWN.sub(lambda found: "\\" + found[0], " ".join(text.split()))
 
 
