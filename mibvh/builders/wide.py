@@ -80,8 +80,8 @@ def build_wide(
         "mibvh": __version__,
     }
     tree = tree.replace(width=width, meta=meta)
-    if found := tree.validate(triangles):
-        raise MibvhError(f"builder {builder} made no sound wide tree: {found[0]}")
+    if violations := tree.validate(triangles):
+        raise MibvhError(f"builder {builder} made an invalid wide tree: {violations[0]}")
     return tree
 
 

@@ -65,7 +65,7 @@ def _template() -> Any:
 def write_report(
     folder: Path,
     records: Records,
-    found: pd.DataFrame,
+    correlations: pd.DataFrame,
     sheets: list[Sheet],
     of_scenes: list[list[Sheet]],
     left_out: Mapping[str, str],
@@ -77,7 +77,7 @@ def write_report(
     ----------
     folder : Path
     records : sequence of SceneRecord
-    found : DataFrame
+    correlations : DataFrame
         From :func:`mibvh.studies.analyse.correlations.correlations`.
     sheets : list of Sheet
         Over the scenes; see :func:`mibvh.studies.report.tables.answers`.
@@ -100,24 +100,28 @@ def write_report(
     first = {CLAIMS, DEPTH}
     titles = dict.fromkeys(sheet.section for sheet in sheets)
     groups = {title: [s for s in sheets if s.section == title] for title in titles}
-    main = _main_predictor(found)
+    main = _main_predictor(correlations)
     page = _template().render(
         builders=_builders(records),
         left_out=left_out,
         doubted=len(failures(records)),
-        answer=answer(records, found),
+        answer=answer(records, correlations),
         winners=draw("winners", plots.winners(records)),
         multiples=draw("multiples", plots.multiples(records, main)),
         main=main,
-        named=_predictors(found, named=True),
-        others=_predictors(found, named=False),
-        summary=draw("summary", plots.summary(found, [n for n in NAMED if n in _known(found)])),
-        other_summary=draw("summary-others", plots.summary(found, _other_names(found))),
+        named=_predictors(correlations, named=True),
+        others=_predictors(correlations, named=False),
+        summary=draw(
+            "summary", plots.summary(correlations, [n for n in NAMED if n in _known(correlations)])
+        ),
+        other_summary=draw(
+            "summary-others", plots.summary(correlations, _other_names(correlations))
+        ),
         where=groups.get(DEPTH, []),
         claims=groups.get(CLAIMS, []),
         sections=[(title, group) for title, group in groups.items() if title not in first],
         scenes=[
-            _scene(draw, record, found, of_scene)
+            _scene(draw, record, correlations, of_scene)
             for record, of_scene in zip(records, of_scenes, strict=True)
         ],
         times_known=times_known(records, quantities()["scalar_ns"]),
@@ -147,26 +151,26 @@ class _Draw:
         return [figure.svg(part) for part in figure.parts]
 
 
-def _known(found: pd.DataFrame) -> list[str]:
-    return list(dict.fromkeys(found["predictor"]))
+def _known(correlations: pd.DataFrame) -> list[str]:
+    return list(dict.fromkeys(correlations["predictor"]))
 
 
-def _other_names(found: pd.DataFrame) -> list[str]:
-    return [name for name in _known(found) if name not in NAMED]
+def _other_names(correlations: pd.DataFrame) -> list[str]:
+    return [name for name in _known(correlations) if name not in NAMED]
 
 
-def _main_predictor(found: pd.DataFrame) -> str:
+def _main_predictor(correlations: pd.DataFrame) -> str:
     """Return the predictor of the small multiples: the one that the documentation advises."""
-    known = _known(found)
+    known = _known(correlations)
     return next((name for name in ("finite rays", "fitted", "SAH") if name in known), known[0])
 
 
-def _predictors(found: pd.DataFrame, named: bool) -> list[dict[str, str]]:
+def _predictors(correlations: pd.DataFrame, named: bool) -> list[dict[str, str]]:
     """Name, formula and r of the named predictors, or of the others."""
-    table = overview(found)
+    table = overview(correlations)
     rows = []
     for one in sorted(predictors(), key=lambda p: [*NAMED, p.name].index(p.name)):
-        if (one.name in NAMED) is not named or one.name not in _known(found):
+        if (one.name in NAMED) is not named or one.name not in _known(correlations):
             continue
         r = [[table.loc[(t, one.name), c] for c in ("mean", "min")] for t in _FIRST_HELD]
         rows.append(
@@ -188,7 +192,7 @@ def _builders(records: Records) -> list[dict[str, str]]:
 
 
 def _scene(
-    draw: _Draw, record: SceneRecord, found: pd.DataFrame, sheets: list[Sheet]
+    draw: _Draw, record: SceneRecord, correlations: pd.DataFrame, sheets: list[Sheet]
 ) -> dict[str, Any]:
     name = record.scene
     return {
@@ -201,7 +205,7 @@ def _scene(
         "thumbnail": _thumbnail(record.picture),
         "timing": record.timing,
         "sheets": sheets,
-        "r": _of_scene(record, found[found["scene"] == name]),
+        "r": _of_scene(record, correlations[correlations["scene"] == name]),
         "figures": [
             (caption, draw(f"{name}-{key}", figure)) for key, caption, figure in _figures(record)
         ],
@@ -222,9 +226,9 @@ def _figures(record: SceneRecord) -> Iterator[tuple[str, str, Any]]:
         yield name, f"{sweep.name}: cost against {sweep.option}.", plots.swept(sweep)
 
 
-def _of_scene(record: SceneRecord, found: pd.DataFrame) -> list[tuple[str, str, str, str]]:
+def _of_scene(record: SceneRecord, correlations: pd.DataFrame) -> list[tuple[str, str, str, str]]:
     """Of each measurement: its name, r of SAH, r with EPO (α fitted), and how well it is known."""
-    r = found.set_index(["measurement", "predictor"])["pearson"]
+    r = correlations.set_index(["measurement", "predictor"])["pearson"]
     return [
         (
             target.heading,

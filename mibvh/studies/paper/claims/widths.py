@@ -17,7 +17,7 @@ _TOPIC = "wide trees"
 _BY = "; by counted cost of wide trees"
 
 
-def width_claims(records: Records, found: pd.DataFrame) -> Iterator[Claim]:
+def width_claims(records: Records, correlations: pd.DataFrame) -> Iterator[Claim]:
     """Judge them at every width beyond two."""
     wide = [width for width in widths_of(records) if width > 2]
     if not wide:

@@ -31,17 +31,17 @@ _LEVELS = ("finite rays", "any-hit rays", "touched, any hit")
 
 def kind_sheets(records: Records) -> list[Sheet]:
     """Return the tables; none where no kinds of rays were made."""
-    found = kind_correlations(records)
-    if found.empty:
+    correlations = kind_correlations(records)
+    if correlations.empty:
         return []
-    return [_overview(found), _scenes(found, kind_facts(records)), _ranks(records)]
+    return [_overview(correlations), _scenes(correlations, kind_facts(records)), _ranks(records)]
 
 
-def _overview(found: pd.DataFrame) -> Sheet:
-    groups = found.groupby(["predictor", "kind"], sort=False)["pearson"]
+def _overview(correlations: pd.DataFrame) -> Sheet:
+    groups = correlations.groupby(["predictor", "kind"], sort=False)["pearson"]
     table = groups.agg(["mean", "min"]).unstack("kind")
     known = [one for one in kind_predictors() if one.name in table.index]
-    kinds = list(found["kind"].unique())
+    kinds = list(correlations["kind"].unique())
     parts = {f"{c} {kind}": table[(c, kind)] for kind in kinds for c in ("mean", "min")}
     frame = pd.DataFrame(parts).reindex([one.name for one in known])
     return Sheet(
@@ -62,10 +62,10 @@ def _overview(found: pd.DataFrame) -> Sheet:
     )
 
 
-def _scenes(found: pd.DataFrame, facts: pd.DataFrame) -> Sheet:
+def _scenes(correlations: pd.DataFrame, facts: pd.DataFrame) -> Sheet:
     keys = ["scene", "kind"]
     by = {
-        c: found.pivot(index=keys, columns="predictor", values=c)
+        c: correlations.pivot(index=keys, columns="predictor", values=c)
         for c in ("pearson", "alpha", "level")
     }
     names = [one.name for one in kind_predictors() if one.name in by["pearson"]]

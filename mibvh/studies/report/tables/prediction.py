@@ -26,15 +26,15 @@ _FIRST = ("counted_cost", "scalar_ns")
 NAMED = ("SAH", "fitted", "estimated", "finite rays", "finite by lines")
 
 
-def prediction_sheets(records: Records, found: pd.DataFrame) -> list[Sheet]:
+def prediction_sheets(records: Records, correlations: pd.DataFrame) -> list[Sheet]:
     """Return the tables, those over all scenes first."""
     return [
-        _overview(records, found),
+        _overview(records, correlations),
         *_pooled(records),
         _absolute(records),
         *_level(records),
-        _per_scene(records, found),
-        _others(found),
+        _per_scene(records, correlations),
+        _others(correlations),
         _shared(records),
         _simd(records),
     ]
@@ -48,10 +48,10 @@ def times_known(records: Records, target: Quantity) -> str:
     return f"Times of a scene's trees are known relative to each other to ±{error:.1%} or better."
 
 
-def _overview(records: Records, found: pd.DataFrame) -> Sheet:
+def _overview(records: Records, correlations: pd.DataFrame) -> Sheet:
     """Every predictor against every measurement: the mean over the scenes, and the worst."""
-    summary = overview(found)
-    frame = pd.DataFrame({"predictor": [one.name for one in _shown(found)]})
+    summary = overview(correlations)
+    frame = pd.DataFrame({"predictor": [one.name for one in _shown(correlations)]})
     columns = [Column("predictor")]
     for target in targets():
         of = summary.loc[target.name]
@@ -80,9 +80,9 @@ def _overview(records: Records, found: pd.DataFrame) -> Sheet:
     )
 
 
-def _shown(found: pd.DataFrame) -> list[Predictor]:
+def _shown(correlations: pd.DataFrame) -> list[Predictor]:
     """Return the predictors that are known, the named ones first."""
-    known = [one for one in predictors() if one.name in set(found["predictor"])]
+    known = [one for one in predictors() if one.name in set(correlations["predictor"])]
     return sorted(known, key=lambda one: one.name not in NAMED)
 
 
@@ -119,22 +119,22 @@ def _pooled(records: Records) -> list[Sheet]:
     return sheets
 
 
-def _by_scene(found: pd.DataFrame, names: list[str]) -> pd.DataFrame:
+def _by_scene(correlations: pd.DataFrame, names: list[str]) -> pd.DataFrame:
     """Pearson's r of some predictors, a row per scene and measurement."""
     headings = {target.name: target.heading for target in targets()}
-    of = found[found["predictor"].isin(names)]
+    of = correlations[correlations["predictor"].isin(names)]
     frame = of.pivot(index=["measurement", "scene"], columns="predictor", values="pearson")
-    order = pd.MultiIndex.from_product([headings, found["scene"].unique()])
+    order = pd.MultiIndex.from_product([headings, correlations["scene"].unique()])
     frame = frame.reindex(index=order, columns=names).rename_axis(columns=None)
     frame = frame.rename_axis(["measurement", "scene"]).reset_index()
     frame["measured"] = frame["measurement"].map(headings)
     return frame
 
 
-def _per_scene(records: Records, found: pd.DataFrame) -> Sheet:
-    names = [one.name for one in _shown(found) if one.name in NAMED]
-    frame = _by_scene(found, names).set_index(["measurement", "scene"])
-    of = found.set_index(["predictor", "measurement", "scene"])
+def _per_scene(records: Records, correlations: pd.DataFrame) -> Sheet:
+    names = [one.name for one in _shown(correlations) if one.name in NAMED]
+    frame = _by_scene(correlations, names).set_index(["measurement", "scene"])
+    of = correlations.set_index(["predictor", "measurement", "scene"])
     finite = of.loc["finite rays"] if "finite rays" in names else None
     if finite is not None:
         for key in ("trees_low", "trees_high", "spearman"):
@@ -180,13 +180,13 @@ def _per_scene(records: Records, found: pd.DataFrame) -> Sheet:
     )
 
 
-def _others(found: pd.DataFrame) -> Sheet:
-    names = [one.name for one in _shown(found) if one.name not in NAMED]
+def _others(correlations: pd.DataFrame) -> Sheet:
+    names = [one.name for one in _shown(correlations) if one.name not in NAMED]
     return Sheet(
         name="r-others",
         section=SECTION,
         title="r per scene, the other predictors",
-        frame=_by_scene(found, names),
+        frame=_by_scene(correlations, names),
         columns=[
             Column("scene"),
             Column("measured"),

@@ -29,9 +29,9 @@ def width_sheets(records: Records) -> list[Sheet]:
     trees = wide_trees(records)
     if trees.empty:
         return []
-    found = width_correlations(records)
-    widest = int(found["width"].max())
-    sheets = [_overview(found), _scenes(found), _builders(trees)]
+    correlations = width_correlations(records)
+    widest = int(correlations["width"].max())
+    sheets = [_overview(correlations), _scenes(correlations), _builders(trees)]
     if widest > 2:
         sheets.append(_before(trees, widest))
         if not (gains := optimised(records, trees, widest)).empty:
@@ -39,12 +39,12 @@ def width_sheets(records: Records) -> list[Sheet]:
     return [*sheets, _trees(trees)]
 
 
-def _overview(found: pd.DataFrame) -> Sheet:
-    groups = found.groupby(["predictor", "width"], sort=False)["pearson"]
+def _overview(correlations: pd.DataFrame) -> Sheet:
+    groups = correlations.groupby(["predictor", "width"], sort=False)["pearson"]
     table = groups.agg(["mean", "min"]).unstack("width")
     names = [one.name for one in predictors() if one.name in table.index]
     frame = pd.DataFrame(
-        {f"{c}{w}": table[(c, w)] for w in _widths(found) for c in ("mean", "min")}
+        {f"{c}{w}": table[(c, w)] for w in _widths(correlations) for c in ("mean", "min")}
     )
     return Sheet(
         name="width-r",
@@ -56,7 +56,7 @@ def _overview(found: pd.DataFrame) -> Sheet:
             Column("predictor"),
             *(
                 Column(f"{c}{w}", f"{w} children: {c}", ".3f")
-                for w in _widths(found)
+                for w in _widths(correlations)
                 for c in ("mean", "min")
             ),
         ],
@@ -64,21 +64,21 @@ def _overview(found: pd.DataFrame) -> Sheet:
     )
 
 
-def _scenes(found: pd.DataFrame) -> Sheet:
-    r = found.pivot(index="scene", columns=["predictor", "width"], values="pearson")
-    alpha = found[found["predictor"] == "fitted"].pivot(
+def _scenes(correlations: pd.DataFrame) -> Sheet:
+    r = correlations.pivot(index="scene", columns=["predictor", "width"], values="pearson")
+    alpha = correlations[correlations["predictor"] == "fitted"].pivot(
         index="scene", columns="width", values="alpha"
     )
     parts, columns = {}, []
     for name, title in _PER_SCENE.items():
-        for width in _widths(found):
+        for width in _widths(correlations):
             key = f"{name}{width}"
             parts[key] = r[(name, width)] if (name, width) in r else float("nan")
             columns.append(Column(key, f"{title}, {width}", ".3f"))
-    for width in _widths(found):
+    for width in _widths(correlations):
         parts[f"alpha{width}"] = alpha[width]
         columns.append(Column(f"alpha{width}", f"α, {width}", ".2f"))
-    frame = pd.DataFrame(parts, index=alpha.index).reindex(found["scene"].unique())
+    frame = pd.DataFrame(parts, index=alpha.index).reindex(correlations["scene"].unique())
     return Sheet(
         name="width-scenes",
         section=SECTION,
