@@ -23,9 +23,16 @@ from mibvh.metrics.predictor import finite_ray_cost, path_length_ratio
 #: Lines that are walked through the boxes of a tree.
 _LINES = 8192
 _HEADS = (
-    "scene", "finite / counted", "which lines", "along the line", "order", "rays that miss",
-    "said / touched, miss", "first half", "said / touched, hit",
-)  # fmt: skip
+    "scene",
+    "finite / counted",
+    "which lines",
+    "along the line",
+    "order",
+    "rays that miss",
+    "said / touched, miss",
+    "first half",
+    "said / touched, hit",
+)
 
 
 def level(scene: mibvh.Scene, builder: str) -> list[str]:
@@ -45,12 +52,13 @@ def level(scene: mibvh.Scene, builder: str) -> list[str]:
     misses = ~np.isfinite(lines.length)
     factors = finite / counted, finite / by_lines, by_lines / touched.mean()
     return [
-        scene.name, *(f"{value:.2f}" for value in (*factors, touched.mean() / counted)),
+        scene.name,
+        *(f"{value:.2f}" for value in (*factors, touched.mean() / counted)),
         f"{misses.mean():.0%}",
         _ratio(query + lines.share[misses] * of_lines, touched[misses]),
         f"{first[misses].sum() / touched[misses].sum():.0%}" if misses.any() else "–",
         _ratio(query + lines.share[~misses] * of_lines, touched[~misses]),
-    ]  # fmt: skip
+    ]
 
 
 def _first_half(tree: mibvh.Tree, lines: RayLines, scene: mibvh.Scene) -> np.ndarray:
