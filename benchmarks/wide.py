@@ -442,6 +442,8 @@ def _before_and_after(scenes: Sequence[SceneFigures]) -> Iterable[str]:
     """What an optimiser gains in binary SAH, and what is left of it after the collapse."""
     rows = []
     for builder, start in STARTS.items():
+        if not all({builder, start} <= set(s.trees) for s in scenes):
+            continue
         cells = [builder, start]
         for quantity in ("sah", "epo", "cost"):
             for width in (2, 8):
