@@ -23,6 +23,8 @@ BYTES = {
     "tree": 64.0,
     "records": 110.0,
 }
+#: Bytes of what is loaded and compiled on the way through a study: kernels, renderers.
+COMPILED = 3e8
 #: References that a tree may have: its nodes, twice as many, are numbered by 31 bits.
 MOST_REFERENCES = 1 << 30
 

@@ -288,7 +288,7 @@ def _sweep(
     "agglo",
     summary="bottom-up: always merge the two clusters whose common box is smallest",
     source="Walter et al. 2008",
-    memory=215,
+    memory=230,
 )
 def agglo(triangles: Triangles, options: Options, context: Context) -> Draft:
     """Build the tree of exact greedy agglomeration; about O(n log n) on scenes.

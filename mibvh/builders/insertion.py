@@ -463,7 +463,7 @@ class _Optimiser:
     "cost least",
     source="Bittner, Hapala, Havran 2013",
     options=InsertionOptions,
-    memory=280,
+    memory=300,
 )
 def bittner(triangles: Triangles, options: InsertionOptions, context: Context) -> Draft:
     """Improve a tree by reinsertion; never returns one of higher SAH than it started from."""

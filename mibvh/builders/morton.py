@@ -99,7 +99,7 @@ def radix_draft(references: References) -> Draft:
     "lbvh",
     summary="linear BVH: split where the Morton codes of the box centres first differ",
     source="Lauterbach et al. 2009; Karras 2012",
-    memory=110,
+    memory=140,
 )
 def lbvh(triangles: Triangles, options: Options, context: Context) -> Draft:
     """Build the Morton tree; O(n) after one radix sort."""

@@ -337,7 +337,7 @@ class HillOptions(Options):
     summary="tree rotations by hill climbing: the best of six at each node, to a local minimum",
     source="Kensler 2008",
     options=HillOptions,
-    memory=280,
+    memory=300,
 )
 def hill(triangles: Triangles, options: HillOptions, context: Context) -> Draft:
     """Rotate until no rotation lowers SAH."""
@@ -368,7 +368,7 @@ class AnnealOptions(Options):
     summary="random tree rotations by simulated annealing, ended by hill climbing",
     source="Kensler 2008",
     options=AnnealOptions,
-    memory=280,
+    memory=300,
 )
 def anneal(triangles: Triangles, options: AnnealOptions, context: Context) -> Draft:
     """Rotate at random while the temperature falls, and climb before and after."""

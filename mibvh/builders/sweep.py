@@ -393,7 +393,7 @@ def _build(measure: Any, lists: F32, links: tuple[I32, I32, I32], context: Conte
     "bbvh",
     summary="top-down full sweep: the split of least A_l N_l + A_r N_r, all axes, all positions",
     source="MacDonald and Booth 1990",
-    memory=280,
+    memory=300,
 )
 def bbvh(triangles: Triangles, options: Options, context: Context) -> Draft:
     """Build the full-sweep SAH tree; O(n log n)."""

@@ -686,7 +686,7 @@ class SplitTreeletOptions(RearrangeOptions):
     summary="TRBVH: the best rearrangement of every treelet of 7 subtrees, bottom-up, repeated",
     source="Karras and Aila 2013",
     options=TreeletOptions,
-    memory=215,
+    memory=230,
 )
 def treelet(triangles: Triangles, options: TreeletOptions, context: Context) -> Draft:
     """Rearrange the treelets of a start tree."""
@@ -707,7 +707,7 @@ def start_over(references: References, options: SplitTreeletOptions, context: Co
     summary="triangle splitting, a Morton tree over the parts, then `treelet`",
     source="Karras and Aila 2013",
     options=SplitTreeletOptions,
-    memory=380,
+    memory=400,
 )
 def streelet(triangles: Triangles, options: SplitTreeletOptions, context: Context) -> Draft:
     """Split triangles up front, and rearrange the treelets of a start tree over the parts."""

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from mibvh.code import code_digest
 from mibvh.environment import environment
-from mibvh.memory import used_memory
+from mibvh.memory import COMPILED, used_memory
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene
 from mibvh.studies.measure.cameras import cameras
@@ -110,7 +110,8 @@ def _predict(
     """Make the rays and the trees of a scene, count and time them."""
     machine = environment()
     sources = sources_of(options.builders or (), given.trees)
-    expected = used_memory() + check_memory(scene, predicted_memory(scene, options, sources, given))
+    needed = check_memory(scene, predicted_memory(scene, options, sources, given))
+    expected = used_memory() + COMPILED + needed
     report.expect(expected)
     with peaks.of("rays"):
         rays = _rays(scene, options, store) if given.rays is None else given.rays

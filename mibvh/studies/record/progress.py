@@ -23,7 +23,7 @@ class Progress:
     done : float
         From 0 to 1 within the scene.
     memory : float or None
-        Bytes that the scene is expected to take at most, told once, before the first stage.
+        Bytes that the process is expected to take, told once, before the first stage.
     """
 
     scene: str
@@ -68,7 +68,7 @@ class Reporter:
         self.listener(Progress(self.scene, self.experiment, stage, self.builder, at))
 
     def expect(self, memory: float) -> None:
-        """Report how many bytes the work is expected to take at most."""
+        """Report how many bytes the process is expected to take."""
         step = Progress(self.scene, self.experiment, "rays", self.builder, self.begin, memory)
         self.listener(step)
 

@@ -144,7 +144,7 @@ class Board:
 
 
 def _room(memory: float) -> str:
-    return f"expected to take {memory / 1e9:,.1f} GB of memory at most"
+    return f"expected to take about {memory / 1e9:,.1f} GB of memory"
 
 
 class _Left(NamedTuple):
