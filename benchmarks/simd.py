@@ -176,10 +176,14 @@ def check(source: str, folder: Path | None) -> None:
     """Whether the order of rays, their number, or how warps share them matters: a table."""
     import mibvh
     from mibvh.builders import names
+    from mibvh.studies.measure.warps import simulated_rays
+    from mibvh.traversal.order import ray_order
     from mibvh.traversal.warp import simulate
 
     scene = mibvh.load(source)
     rays = mibvh.diffuse_rays(scene, width=160, height=120, samples=4, sort=False)
+    sorted_rays = rays.select(ray_order(rays, scene.triangles.bounds, "morton", 0))
+    some = sorted_rays.select(simulated_rays(len(rays), 32))
     ways: dict[str, dict[str, Any]] = {
         "as paths are made": {"order": "path"},
         "Morton order": {"order": "morton"},
@@ -191,12 +195,18 @@ def check(source: str, folder: Path | None) -> None:
             "rays_per_lane": len(rays),
         },
     }
-    ratios: dict[str, list[float]] = {way: [] for way in ways}
+    fewer = f"Morton order, {len(some):,} of the rays, as a study takes them"
+    ratios: dict[str, list[float]] = {way: [] for way in (*ways, fewer)}
     for builder in names():
         tree = tree_of(scene, builder, folder)
         alone = simulate(tree, scene, rays, 1, "single").cost()
         for way, options in ways.items():
             ratios[way].append(simulate(tree, scene, rays, 32, **options).cost() / alone)
+        single, warps = (
+            simulate(tree, scene, some, width, style).cost()
+            for width, style in ((1, "single"), (32, "persistent"))
+        )
+        ratios[fewer].append(warps / single)
     print(f"\n## {scene.name}, {len(rays):,} rays, `persistent 32`: deviation in per cent")
     table(
         ["rays", *names(), "mean utilisation"],
@@ -384,6 +394,24 @@ def explanations(scenes: Scenes) -> None:
         )
 
 
+def slopes(scenes: Scenes) -> None:
+    """Exponents of the equations before they are rounded, whichever scene is left out."""
+    spread, lcv = scenes.quantity("cost_cv"), scenes.quantity("lcv")
+    lines = []
+    for kernel in KERNELS:
+        y = scenes.deviation(kernel)
+        found = [
+            (*slope([spread], y, i), *slope([spread, lcv], y, i)) for i in range(len(scenes.names))
+        ]
+        low, high = np.min(found, axis=0), np.max(found, axis=0)
+        lines.append([kernel, *(f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True))])
+    print("\n## Slopes\n\nLeast and greatest, with one scene left out after the other.")
+    table(
+        ["kernel", "std of cost / mean, alone", "std of cost / mean, with LCV", "LCV"],
+        lines,
+    )
+
+
 def _judged(
     scenes: Scenes, y: list[F64], x: list[F64], held: F64 | None, raw: F64 | None
 ) -> list[str]:
@@ -508,6 +536,7 @@ def main() -> None:
     by_builder(scenes)
     if len(scenes.names) > 1:
         explanations(scenes)
+        slopes(scenes)
         predictions(scenes)
     widths(scenes)
     if arguments.figure:
