@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -87,7 +88,6 @@ def measure(
     path: str, name: str, repeats: int, threads: list[int], yardstick: bool
 ) -> dict[str, Any]:
     """Build the triangles of an .npy file with one builder."""
-    import numba
     import numpy as np
 
     import mibvh
@@ -98,7 +98,7 @@ def measure(
     empty = _peak()
     seconds, beside, embree = {}, {}, None
     for count in threads:
-        numba.set_num_threads(count)
+        os.environ["MIBVH_THREADS"] = str(count)
         times: list[float] = []
         peers: list[float] = []
         started = time.perf_counter()
@@ -180,8 +180,6 @@ def measurements(
 
 
 def _machine() -> dict[str, str]:
-    import os
-
     from mibvh.environment import cpu_model
     from mibvh.version import __version__
 

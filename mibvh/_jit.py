@@ -17,32 +17,6 @@ import numba
 from numba import types
 from numba.core.dispatcher import Dispatcher
 
-#: The process that ran the first parallel kernel.
-_parallel_process: int | None = None
-
-
-def in_parallel(kernel: Any, *arguments: Any) -> Any:
-    """Call a kernel that was compiled with ``parallel=True``.
-
-    GNU OpenMP ends a process that was forked after a parallel kernel ran: there, the same code
-    runs on one thread, compiled anew.
-    """
-    global _parallel_process
-    if _parallel_process is None:
-        _parallel_process = os.getpid()
-    if os.getpid() != _parallel_process and numba.threading_layer() == "omp":
-        return _on_one_thread(kernel)(*arguments)
-    return kernel(*arguments)
-
-
-@functools.cache
-def _on_one_thread(kernel: Dispatcher) -> Dispatcher:
-    # Not kept: Numba would take the one for the other.
-    options = {**kernel.targetoptions, "parallel": False}
-    return numba.njit(**{k: v for k, v in options.items() if k not in ("nopython", "boundscheck")})(
-        kernel.py_func
-    )
-
 
 def njit(
     function: Callable[..., Any] | None = None, /, *, allocates: bool = True, **options: Any

@@ -19,7 +19,8 @@ def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ["MIBVH_CACHE"] = str(tmp_path_factory.mktemp("cache"))
 
 
-#: Files of slow tests, and what else makes a test slow: whole studies. All others are fast.
+#: Files of slow tests beside those of studies, and what else makes a test slow: whole studies. All
+#: others are fast.
 SLOW_FILES = {
     "test_cli",
     "test_cluster",
@@ -33,11 +34,9 @@ SLOW_FILES = {
     "test_notebooks",
     "test_parallel",
     "test_plugins",
+    "test_registries",
     "test_report_browser",
     "test_scenes_bundled",
-    "test_study",
-    "test_study_killed",
-    "test_study_widths",
     "test_traversal_styles",
     "test_traversal_warp",
     "test_wide_audit",
@@ -49,9 +48,9 @@ SLOW_FIXTURES = {"small_study"}
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark tests as fast or slow; leave ``cuda`` out where there is no device to run them on."""
     for item in items:
-        slow = item.path.stem in SLOW_FILES or SLOW_FIXTURES & set(
-            getattr(item, "fixturenames", ())
-        )
+        name = item.path.stem
+        slow = name in SLOW_FILES or name.startswith("test_study")
+        slow = slow or bool(SLOW_FIXTURES & set(getattr(item, "fixturenames", ())))
         item.add_marker("slow" if slow else "fast")
     marked = [item for item in items if item.get_closest_marker("cuda")]
     if not marked:

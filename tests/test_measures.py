@@ -209,19 +209,13 @@ def test_builders_minimise_the_measure_they_are_given(name):
     assert touches[0] < 0.99 * touches[1]
 
 
-def test_flux_tree_is_the_same_on_any_number_of_threads():
-    import numba
-
+def test_flux_tree_is_the_same_on_any_number_of_threads(monkeypatch):
     flux = Flux(segments(2000), planes=16)
     triangles = soup(6000, size=0.1)
-    before = numba.get_num_threads()
-    try:
-        trees = []
-        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            numba.set_num_threads(threads)
-            trees.append(mibvh.build(triangles, "sbvh", measure=flux))
-    finally:
-        numba.set_num_threads(before)
+    trees = []
+    for threads in ("1", "2"):
+        monkeypatch.setenv("MIBVH_THREADS", threads)
+        trees.append(mibvh.build(triangles, "sbvh", measure=flux))
     assert same(*trees)
 
 

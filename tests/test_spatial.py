@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -205,14 +204,10 @@ def test_degenerate_input(name, corners):
 def test_equal_on_one_and_two_threads(monkeypatch):
     monkeypatch.setattr("mibvh.builders.spatial._TASK", 64)  # many small tasks
     triangles = town(80)
-    before = numba.get_num_threads()
-    try:
-        trees = []
-        for threads in (1, 2, 2):
-            numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
-            trees.append(mibvh.build(triangles, "sbvh"))
-    finally:
-        numba.set_num_threads(before)
+    trees = []
+    for threads in ("1", "2", "2"):
+        monkeypatch.setenv("MIBVH_THREADS", threads)
+        trees.append(mibvh.build(triangles, "sbvh"))
     assert trees[0].splits_triangles
     assert same(trees[0], trees[1])
     assert same(trees[1], trees[2])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 from conftest import soup
@@ -202,14 +201,13 @@ def test_more_rounds_and_larger_treelets_lower_sah():
     assert sah[7, 24] <= sah[7, 3]
 
 
-def test_the_same_tree_on_one_thread_and_on_two():
+def test_the_same_tree_on_one_thread_and_on_two(monkeypatch):
     triangles = soup(6000, seed=1)
     drafts = []
-    for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-        numba.set_num_threads(threads)
+    for threads in ("1", "2"):
+        monkeypatch.setenv("MIBVH_THREADS", threads)
         entry = get("streelet")
         drafts.append(entry.draft(triangles, entry.options(), CONTEXT))
-    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
     np.testing.assert_array_equal(drafts[0].left, drafts[1].left)
     np.testing.assert_array_equal(drafts[0].right, drafts[1].right)
     assert drafts[0].report == drafts[1].report

@@ -25,15 +25,15 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-import numba
 import numpy as np
 
-from mibvh._jit import in_parallel, njit
+from mibvh._jit import njit
 from mibvh.builders.draft import Draft
 from mibvh.builders.registry import Context, Options, builder, option
 from mibvh.builders.rotations import _fit, _union_area, box_area, depth_first, judged
 from mibvh.builders.treelet import subtree_costs
 from mibvh.measures.boxes import of_corners
+from mibvh.parallel import run_blocks
 from mibvh.triangles import Triangles
 
 #: Nodes that one thread searches for, one after the other.
@@ -113,18 +113,15 @@ def _find(measure, node, left, right, parent, box, cost, stack, gains, rest):
         beside = _other(left, right, pivot, below)
 
 
-@njit(parallel=True)
-def _find_all(measure, nodes, left, right, parent, box, cost, depth):
-    """Find the best place of each node."""
-    places, gains = np.empty(len(nodes), np.int32), np.empty(len(nodes), np.float64)
-    for block in numba.prange(-(-len(nodes) // _BLOCK)):
-        stack, had = np.empty(depth + 3, np.int32), np.empty(depth + 3, np.float64)
-        rest = np.empty(6, np.float32)
-        for i in range(block * _BLOCK, min((block + 1) * _BLOCK, len(nodes))):
-            places[i], gains[i] = _find(
-                measure, nodes[i], left, right, parent, box, cost, stack, had, rest
-            )
-    return places, gains
+@njit
+def _find_some(begin, end, nodes, places, gains, measure, left, right, parent, box, cost, depth):
+    """Find the best places of the nodes ``begin`` to ``end``, and what they gain."""
+    stack, had = np.empty(depth + 3, np.int32), np.empty(depth + 3, np.float64)
+    rest = np.empty(6, np.float32)
+    for i in range(begin, end):
+        places[i], gains[i] = _find(
+            measure, nodes[i], left, right, parent, box, cost, stack, had, rest
+        )
 
 
 @njit
@@ -190,7 +187,9 @@ def _pass(measure: Any, share: float, left: Any, right: Any, box: Any) -> int:
     nodes = nodes[largest].astype(np.int32)
     if len(nodes) == 0:
         return 0
-    places, gains = in_parallel(_find_all, measure, nodes, left, right, parent, box, cost, depth)
+    places, gains = np.empty(len(nodes), np.int32), np.empty(len(nodes), np.float64)
+    arrays = (nodes, places, gains, measure, left, right, parent, box, cost, depth)
+    run_blocks(lambda _, begin, end: _find_some(begin, end, *arrays), len(nodes), _BLOCK)
     worth = np.flatnonzero((places >= 0) & (gains > _LEAST * cost[0]))
     worth = worth[np.argsort(-gains[worth], kind="stable")]
     touched = np.zeros(len(left), np.bool_)

@@ -36,11 +36,10 @@ import dataclasses
 import functools
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
-from mibvh._jit import in_parallel, njit
+from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.measured import cost_of
 from mibvh.builders.planes import best_plane, new_bins
@@ -50,7 +49,7 @@ from mibvh.builders.simd import load, nothing, store, union, widen
 from mibvh.builders.splitting import split_reference
 from mibvh.builders.sweep import ID_ZERO, SMALL, best_split, part, sort_axes
 from mibvh.measures.boxes import of_boxes, of_corners
-from mibvh.parallel import run_tasks
+from mibvh.parallel import run_tasks, thread_count
 from mibvh.triangles import Triangles
 
 #: No spatial splits below this depth: they could go on for ever.
@@ -532,7 +531,7 @@ def _build(scene: tuple[Any, ...], root: npt.NDArray[np.int64], context: Context
         work,
         root,
         lambda task: int(task[1] + task[2]),
-        numba.get_num_threads(),
+        thread_count(),
         functools.partial(context.progress, "split"),
     )
     return np.sum(tallies, axis=0).tolist()
@@ -580,7 +579,7 @@ def sbvh(triangles: Triangles, options: SpatialOptions, context: Context) -> Dra
     room = n + slack
     lists = np.empty((6 * room, 8), np.float32)
     context.progress("sort", 0.0)
-    in_parallel(sort_axes, refs.lower, refs.upper, lists)
+    sort_axes(refs.lower, refs.upper, lists)
     low, high = refs.lower.min(axis=0), refs.upper.max(axis=0)
     measure = context.compiled_measure(scale)
     x, y, z = (high - low).tolist()

@@ -15,14 +15,13 @@ in float64 too, and its results are rounded outward to float32.
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import numba
 import numpy as np
 
-from mibvh._jit import in_parallel, njit
+from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
 from mibvh.errors import MibvhError
+from mibvh.parallel import run_blocks
 from mibvh.triangles import F32, Triangles
 
 #: Most corners a triangle can have after clipping to a box and cutting at a plane, and one.
@@ -242,17 +241,17 @@ def _dominant_plane(boxes, row, origin, extent):
     return best, best_axis, best_plane
 
 
-@njit(parallel=True)
-def _priorities(corners, scale, boxes, origin, extent):
-    """(N,) float64: ``(2**i * (A_box - A_ideal)) ** (1/3)``, 0 for what cannot be split.
+@njit
+def _priorities(begin, end, out, corners, scale, boxes, origin, extent):
+    """Fill a part of (N,) float64: ``(2**i * (A_box - A_ideal)) ** (1/3)``.
+
+    It stays 0 for what cannot be split.
 
     ``A_box`` is the box's surface area; ``A_ideal``, the area that infinitely many splits
     would come to, is the sum of the components of the cross product of two edges. The factor
     ``2**i`` prefers triangles that cross the planes near the root.
     """
-    n = len(corners)
-    out = np.zeros(n, np.float64)
-    for t in numba.prange(n):
+    for t in range(begin, end):
         level, _, _ = _dominant_plane(boxes, t, origin, extent)
         if level == 0:
             continue
@@ -269,7 +268,6 @@ def _priorities(corners, scale, boxes, origin, extent):
         excess = 2.0 * (x * y + y * z + z * x) - ideal
         if excess > 0.0:
             out[t] = (2.0**level * excess) ** (1.0 / 3.0)
-    return out
 
 
 @njit
@@ -303,14 +301,9 @@ def _factor_for(priorities, budget):
     return low
 
 
-@njit(parallel=True)
-def _split_all(corners, scale, boxes, triangle, priorities, factor, origin, extent):
-    """Carry the splits out; return the number of references.
-
-    Blocks of triangles write to places of their own behind the first N rows, as many as the
-    splits they may have; what they leave empty is closed up at the end.
-    """
-    n = len(corners)
+@njit
+def _places(n, priorities, factor):
+    """Where each block of triangles writes its parts: behind the first ``n`` rows."""
     starts = np.empty(-(-n // _BLOCK) + 1, np.int64)
     starts[0] = n
     for block in range(len(starts) - 1):
@@ -318,22 +311,12 @@ def _split_all(corners, scale, boxes, triangle, priorities, factor, origin, exte
         for t in range(block * _BLOCK, min((block + 1) * _BLOCK, n)):
             room += math.floor(factor * priorities[t])
         starts[block + 1] = starts[block] + room
-    ends = np.empty(len(starts) - 1, np.int64)
-    for block in numba.prange(len(ends)):
-        first, last = block * _BLOCK, min((block + 1) * _BLOCK, n)
-        ends[block] = _split_block(
-            corners,
-            scale,
-            boxes,
-            triangle,
-            priorities,
-            factor,
-            origin,
-            extent,
-            first,
-            last,
-            starts[block],
-        )
+    return starts
+
+
+@njit
+def _close_up(n, starts, ends, boxes, triangle):
+    """Close up what the blocks left empty; return the number of references."""
     used = n
     for block in range(len(ends)):
         for row in range(starts[block], ends[block]):
@@ -428,15 +411,26 @@ def presplit(triangles: Triangles, beta: float = 0.3) -> References:
     n = len(whole)
     origin = whole.lower.min(axis=0).astype(np.float64)
     extent = whole.upper.max(axis=0).astype(np.float64) - origin
-    scene: tuple[Any, ...] = (triangles.corners, whole.scale)
+    scene = (triangles.corners, whole.scale)
     boxes = pack_boxes(whole)
-    priorities = in_parallel(_priorities, *scene, boxes, origin, extent)
+    priorities = np.zeros(n)
+    seen = (priorities, *scene, boxes, origin, extent)
+    run_blocks(lambda _, begin, end: _priorities(begin, end, *seen), n, _BLOCK)
     factor = _factor_for(priorities, math.floor(beta * n))
     room = int(_splits_at(priorities, factor))
     boxes = np.concatenate([boxes, np.zeros((room, 8), np.float32)])
     triangle = np.concatenate([whole.triangle, np.zeros(room, np.int32)])
+    # Blocks of triangles write to places of their own, as many as the splits they may have.
+    starts = _places(n, priorities, factor)
+    ends = starts[:-1].copy()
     arrays = (*scene, boxes, triangle, priorities, factor, origin, extent)
-    used = in_parallel(_split_all, *arrays)
+
+    def split(_: int, begin: int, end: int) -> None:
+        block = begin // _BLOCK
+        ends[block] = _split_block(*arrays, begin, end, starts[block])
+
+    run_blocks(split, n, _BLOCK)
+    used = _close_up(n, starts, ends, boxes, triangle)
     return References(
         boxes[:used, 0:3].copy(), -boxes[:used, 4:7], triangle[:used].copy(), whole.scale
     )

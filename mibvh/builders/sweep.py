@@ -26,16 +26,15 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-import numba
 import numpy as np
 
-from mibvh._jit import in_parallel, njit
+from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.measured import cost_of
 from mibvh.builders.radix import argsort_keys, float_keys
 from mibvh.builders.registry import Context, Options, builder
 from mibvh.builders.simd import load, load_corners, nothing, store, union
-from mibvh.parallel import run_tasks
+from mibvh.parallel import run_blocks, run_tasks, thread_count
 from mibvh.triangles import F32, I32, Triangles
 
 #: Up to so many references, the three axes are swept side by side.
@@ -71,11 +70,9 @@ def _sort_axis(lower, upper, axis, lists):
         ids[first + i, 3] = ids[first + i, 7] = order[i] + ID_ZERO
 
 
-@njit(parallel=True)
-def sort_axes(lower, upper, lists):
+def sort_axes(lower: F32, upper: F32, lists: F32) -> None:
     """Fill the first set of lists: (6 N, 8) float32, or more rows for more references."""
-    for axis in numba.prange(3):
-        _sort_axis(lower, upper, axis, lists)
+    run_blocks(lambda _, axis, end: _sort_axis(lower, upper, axis, lists), 3, 1)
 
 
 @njit(allocates=False)
@@ -372,7 +369,7 @@ def _split_once(measure, lists, total, begin, n, node, side, left, right, refere
 def _build(measure: Any, lists: F32, links: tuple[I32, I32, I32], context: Context) -> None:
     """Build the tree: the top node by node, the rest subtree by subtree."""
     total = len(lists) // 6
-    threads = numba.get_num_threads()
+    threads = thread_count()
     limit = max(total // (_TASKS_PER_THREAD * threads), _TASK)
 
     def work(task: _Task) -> list[_Task]:
@@ -400,7 +397,7 @@ def bbvh(triangles: Triangles, options: Options, context: Context) -> Draft:
     refs = References.of(triangles)
     lists = np.empty((6 * len(refs), 8), np.float32)
     context.progress("sort", 0.0)
-    in_parallel(sort_axes, refs.lower, refs.upper, lists)
+    sort_axes(refs.lower, refs.upper, lists)
     links = tuple(np.empty(2 * len(refs) - 1, np.int32) for _ in range(3))
     _build(context.compiled_measure(refs.scale), lists, links, context)
     return Draft(refs, *links)

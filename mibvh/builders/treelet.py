@@ -35,22 +35,25 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from typing import Any
 
-import numba
 import numpy as np
 
-from mibvh._jit import in_parallel, njit
+from mibvh._jit import njit
 from mibvh.builders import lanes
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.registry import Context, Options, builder, option
 from mibvh.builders.rotations import box_area, depth_first, judged
 from mibvh.builders.splitting import as_boxes, over_parts, presplit
 from mibvh.measures.boxes import of_corners
+from mibvh.parallel import run_blocks, thread_count
 from mibvh.triangles import F32, I32, Triangles
 
 #: References in the subtrees of one parallel step: well under a second of work, so that
 #: progress is shown and Ctrl-C heard.
 _STEP = 1 << 17
+#: Disjoint subtrees that a thread takes at a time.
+_ROOTS = 4
 #: Treelets solved side by side.
 _LANES = 8
 
@@ -502,16 +505,16 @@ def _improve_all(
     return rebuilt
 
 
-@njit(parallel=True)
+@njit
 def _improve_subtrees(
     roots, least, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf, measure
 ):
-    """Rearrange disjoint subtrees in parallel. Returns treelets looked at and rebuilt."""
-    done = np.zeros((len(roots), 2), np.int64)
-    for i in numba.prange(len(roots)):
+    """Rearrange subtrees one after the other. Returns treelets looked at and rebuilt."""
+    looked, rebuilt = 0, 0
+    for i in range(len(roots)):
         nodes, ends = nodes_above(roots[i], least, left, right, count)
-        done[i, 0] = len(nodes)
-        done[i, 1] = _improve_all(
+        looked += len(nodes)
+        rebuilt += _improve_all(
             nodes,
             ends,
             size,
@@ -526,7 +529,7 @@ def _improve_subtrees(
             max_leaf,
             measure,
         )
-    return done.sum(axis=0)
+    return looked, rebuilt
 
 
 @njit
@@ -598,6 +601,18 @@ def without_joined(scale: float, owner: I32, left: I32, right: I32, box: F32) ->
     return Draft(References(*bounds, triangle, scale), *links)
 
 
+def _improve_disjoint(roots: I32, least: int, arrays: tuple[Any, ...]) -> tuple[int, int]:
+    """Rearrange disjoint subtrees on several threads; the outcome is the same for any number."""
+    done = np.zeros((thread_count(), 2), np.int64)
+
+    def work(worker: int, begin: int, end: int) -> None:
+        done[worker] += _improve_subtrees(roots[begin:end], least, *arrays)
+
+    run_blocks(work, len(roots), _ROOTS)
+    looked, rebuilt = done.sum(axis=0)
+    return int(looked), int(rebuilt)
+
+
 def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draft:
     """Rearrange the treelets of a draft, round by round.
 
@@ -640,8 +655,8 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
         cuts = np.searchsorted(ends, np.arange(0, len(left) + _STEP, _STEP))
         for begin, end in itertools.pairwise(cuts):
             if begin < end:
-                done = in_parallel(_improve_subtrees, roots[begin:end], least, *arrays)
-                looked, rebuilt = looked + int(done[0]), rebuilt + int(done[1])
+                done = _improve_disjoint(roots[begin:end], least, arrays)
+                looked, rebuilt = looked + done[0], rebuilt + done[1]
                 context.progress("treelets", (turn + end / len(roots)) / rounds)
         begin = 0
         for ends in np.split(heights, range(_STEP, len(heights), _STEP)):

@@ -78,7 +78,7 @@ def _cut(corners, source, n, target, axis, limit, sign):
     return (place - begin) // 3
 
 
-@njit(allocates=False)
+@njit(inline="always")
 def measure(polygons, row, n):
     """Write the corner count, the box and the area of the polygon in a row; return the area."""
     corners, limits = polygons.corners, polygons.limits
@@ -105,7 +105,7 @@ def measure(polygons, row, n):
     return area
 
 
-@njit(allocates=False)
+@njit(inline="always")
 def clip(polygons, row, box, node, spare):
     """Clip the polygon in a row by the planes of a node's box that cut the polygon's own box.
 
@@ -133,7 +133,7 @@ def clip(polygons, row, box, node, spare):
     return row, n
 
 
-@njit(allocates=False)
+@njit(inline="always")
 def touches(limits, row, box, node):
     """Whether the closed box in a row of ``limits`` and that of a node have a point in common."""
     a, b = 6 * row, 6 * node

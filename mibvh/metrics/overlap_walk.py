@@ -87,7 +87,7 @@ def workspace(depth: int) -> Work:
     )
 
 
-@njit(allocates=False)
+@njit(inline="always")
 def _foreign(nodes, subtrees, low, high, row, base, weight, work, sums):
     """Add the areas of the polygon in a row inside ``subtrees[low:high]`` and all below them.
 
