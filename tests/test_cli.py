@@ -109,7 +109,9 @@ def test_a_study_for_machines(cli, tmp_path):
     *progress, result = map(json.loads, out.splitlines())
     assert {line["event"] for line in progress} == {"progress"}
     assert ("count", "lbvh") in {(line["stage"], line["builder"]) for line in progress}
-    assert (progress[-1]["stage"], progress[-1]["done"]) == ("done", 1.0)
+    # Where writing the report takes long, a sign of life says so.
+    *_, last = (line for line in progress if line["stage"] != "report")
+    assert (last["stage"], last["done"]) == ("done", 1.0)
     assert result["event"] == "result"
     assert [row["builder"] for row in result["trees"]] == ["lbvh"]
     rays = json.loads((tmp_path / "cache" / "scene-cornell@1000.json").read_text())["value"]["rays"]
