@@ -356,6 +356,11 @@ def import_command(
         tree.check_matches(triangles)
         tree = tree.replace(meta={**tree.meta, "digest": triangles.digest})
     tree.save(output)
+    if (unused := tree.meta.get("unused_nodes", 0)) > len(tree):
+        sys.stderr.write(
+            f"note: {unused:,} of the {unused + len(tree):,} nodes in {file} are not "
+            "reached from its root; does the SAH agree with yours?\n"
+        )
     _print({"builder": tree.meta.get("builder"), "sah": sah(tree), **tree.stats()}, as_json)
 
 
@@ -1007,7 +1012,7 @@ def entry() -> None:
 def main() -> None:
     """Run the command line."""
     try:
-        app()
+        app(prog_name="mibvh")
     except MibvhError as error:
         if os.environ.get("MIBVH_DEBUG"):
             traceback.print_exception(error)

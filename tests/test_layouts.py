@@ -257,9 +257,8 @@ def compiled(folder, source):
     """Compile a program with g++ alone."""
     compiler = shutil.which("g++")
     assert compiler, "this test needs g++"
-    subprocess.run(
-        [compiler, "-O1", "-Wall", "-Werror", "-o", folder / "program", ROOT / source], check=True
-    )
+    options = ["-std=c++11", "-O1", "-Wall", "-Werror"]
+    subprocess.run([compiler, *options, "-o", folder / "program", ROOT / source], check=True)
     return folder / "program"
 
 

@@ -27,8 +27,9 @@ int build(int first, int count) {
         if (node.upper[k] - node.lower[k] > node.upper[axis] - node.lower[axis]) axis = k;
     std::nth_element(&ids[first], &ids[first + half], &ids[first] + count,
                      [=](uint32_t a, uint32_t b) { return middle(a, axis) < middle(b, axis); });
-    nodes[self].left = build(first, half); // nodes may move in memory meanwhile
-    nodes[self].right = build(first + half, count - half);
+    int left = build(first, half), right = build(first + half, count - half);
+    nodes[self].left = left; // only now: nodes has moved in memory meanwhile
+    nodes[self].right = right;
     return self;
 }
 int main(int argc, char **argv) {

@@ -155,7 +155,7 @@ def check_mitsuba(scene: Any, rays: RaySet, hits: Hits, seed: int = 0) -> Check:
         float(wrong.sum()),
         0.0,
         0.0,
-        f"wrong ones of the {len(differ)} of {len(chosen):,} hits that are elsewhere in Mitsuba",
+        f"wrong hits, of {len(differ)} that differ from Mitsuba's (of {len(chosen):,} rays)",
     )
 
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import os
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mibvh.errors import MibvhError
+from mibvh.errors import MibvhError, did_you_mean
 from mibvh.files import atomic_path, kind_of
 from mibvh.tree import Tree
 from mibvh.wide_tree import WideTree
@@ -64,7 +65,10 @@ def get(name: str) -> Any:
         If there is none of that name.
     """
     if name not in LAYOUTS:
-        raise MibvhError(f"there is no layout {name!r}; there are: {', '.join(LAYOUTS)}")
+        raise MibvhError(
+            f"there is no layout {name!r}{did_you_mean(name, LAYOUTS)}; there are: "
+            f"{', '.join(LAYOUTS)}"
+        )
     module, _, called = LAYOUTS[name].partition(":")
     return getattr(importlib.import_module(module), called or "LAYOUT")
 
@@ -97,6 +101,11 @@ def read_tree(
         layout = "npz" if path.suffix == ".npz" else "mibvh"
     chosen = get(layout)
     if layout == "npz":
+        if path.is_file() and not zipfile.is_zipfile(path):
+            raise MibvhError(
+                f"{path}: no tree file of mibvh, or a damaged one; a tree of another program is "
+                "converted first, by mibvh import FILE --layout NAME -o TREE.npz"
+            )
         return WideTree.load(path) if kind_of(path) == "wide tree" else Tree.load(path)
     if not path.is_file():
         raise MibvhError(f"{path}: there is no such file")

@@ -67,6 +67,8 @@ def renumbered(
     meta = {"builder": name, "options": {}, "c_inner": 1.2, "c_tri": 1.0, "report": {}}
     if triangles := _dense(given):
         meta["triangles"] = triangles
+    if unused := nodes - len(order):
+        meta["unused_nodes"] = unused
     return lower[order], upper[order], child, starts, counts, given, meta
 
 

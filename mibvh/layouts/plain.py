@@ -32,7 +32,11 @@ NODE = np.dtype(
 def parse(data: bytes) -> dict[str, Any]:
     """Arrays of a file's bytes."""
     if data[:8] != MAGIC or len(data) < 16:
-        raise MibvhError("is no tree of the plain layout (it does not begin with MIBVH)")
+        raise MibvhError(
+            "is no tree of the plain layout (it does not begin with MIBVH); a "
+            "tree of another program is converted first, by mibvh import FILE --layout NAME -o "
+            "TREE.npz"
+        )
     nodes, references = (int(n) for n in np.frombuffer(data, "<u4", 2, 8))
     wanted = 16 + NODE.itemsize * nodes + 4 * references
     if len(data) != wanted:

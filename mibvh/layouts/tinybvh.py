@@ -40,6 +40,8 @@ def parse(data: bytes) -> dict[str, Any]:
         raise MibvhError("holds no nodes of tinybvh whose tree ends where the file does")
     table = np.frombuffer(data, NODE, nodes, place)
     rest = np.frombuffer(data, "<u4", offset=place + nodes * NODE.itemsize)
+    if len(rest) and rest.max() > np.iinfo(np.int32).max:
+        raise MibvhError("the index list (primIdx) behind the nodes is missing, or damaged")
     first, count = table["first"].astype(np.int64), table["count"].astype(np.int64)
     return {
         "lower": table["lower"],

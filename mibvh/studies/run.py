@@ -188,7 +188,7 @@ def study(
         }
         sources, left_out = [one for one in sources if one.name not in bare], left_out | bare
     if not sources:
-        raise MibvhError(next(iter(left_out.values())))
+        raise MibvhError("; ".join(left_out.values()))
     listener = _listener(progress)
     for name in left_out:
         listener(Progress(name, "", LEFT_OUT, None, 1.0))
@@ -225,7 +225,7 @@ def _study(
         # The folder may hold scenes of other studies before this one.
         store.write(_FINISHED, to_json(_Finished([r.scene for r in records], FORMAT, left_out)))
     if not records:
-        raise MibvhError(next(iter(left_out.values())))
+        raise MibvhError("; ".join(left_out.values()))
     store.write(_FINISHED, to_json(_Finished([r.scene for r in records], FORMAT, left_out)))
     write_outputs(folder, records, left_out)
     return Study(folder, records, records[-1].environment, left_out)

@@ -10,7 +10,7 @@ import pandas as pd
 from mibvh.metrics.predictors import predictors
 from mibvh.studies.analyse.correlations import SCALAR, overview
 from mibvh.studies.analyse.winners import mean_cost_over_best, winner, wins
-from mibvh.studies.record.scene import Records
+from mibvh.studies.record.scene import Records, SceneRecord
 from mibvh.studies.report.tables.prediction import NAMED
 
 #: Scenes that are told one by one; of more there is a sum.
@@ -34,6 +34,7 @@ def _best(records: Records) -> Iterator[str]:
     if len(records) <= _FEW:
         for record in records:
             yield f"{record.scene}: {winner(record)} (counted cost)"
+            yield from _given(record)
         return
     won = wins(records)
     told = ", ".join(f"{name} in {count}" for name, count in won.items())
@@ -44,6 +45,17 @@ def _best(records: Records) -> Iterator[str]:
     if over:
         told = ", ".join(f"{name} +{share - 1:.1%}" for name, share in over)
         yield f"Over the scene's best on average: {told}"
+
+
+def _given(record: SceneRecord) -> Iterator[str]:
+    """Where the trees stand that were not built here."""
+    cost, built = record.column("counted_cost"), record.column("build_seconds")
+    best = int(np.argmin(cost))
+    for i, tree in enumerate(record.trees):
+        if np.isnan(built[i]) and i != best:
+            place = f"number {1 + int((cost < cost[i]).sum())} of {len(cost)}"
+            above = f"{cost[i] / cost[best] - 1:.1%} above {record.trees[best].builder}"
+            yield f"{record.scene}: {tree.builder} is {place}, {above}"
 
 
 def _predicted(correlations: pd.DataFrame) -> Iterator[str]:
