@@ -9,6 +9,9 @@ OUT    ?= out/study
 SIZE   ?= 10000
 SCENES ?= cornell livingroom hairball city_italian vegetation powerplant
 
+# Test files that run side by side.
+WORKERS ?= 2
+
 # How long `make fuzz` tries damaged and hostile input, and from which seed.
 FUZZ_SECONDS ?= 300
 FUZZ_SEED    ?= 0
@@ -28,10 +31,10 @@ study: setup ## Study SCENES of SIZE triangles each; tables and report in OUT
 	$(BIN)/mibvh study $(addsuffix @$(SIZE),$(SCENES)) -o $(OUT)
 
 test: setup ## Run all tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
 test-fast: setup ## Run the tests that take seconds (no studies, clusters, browsers, notebooks)
-	$(BIN)/python -m pytest -m fast
+	$(BIN)/python -m pytest -m fast -n $(WORKERS) --dist loadfile
 
 test-lowest: ## Run some tests with the oldest dependencies that pyproject.toml allows
 	PYTHON=$(PYTHON) sh tools/test_lowest.sh

@@ -65,7 +65,8 @@ def _module(name: str) -> tuple[str, frozenset[str]]:
         found
         for node in ast.walk(tree)
         for found in (*_imported(node), *_named(node))
-        if found.split(".")[0] == _PACKAGE and _path(found) is not None
+        # The package itself names all of its modules, and computes nothing.
+        if found.startswith(f"{_PACKAGE}.") and _path(found) is not None
     )
     _drop_docstrings(tree)
     return hashlib.sha256(ast.dump(tree).encode()).hexdigest(), imported

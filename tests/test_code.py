@@ -47,7 +47,7 @@ def test_a_change_in_what_is_imported_counts(copy):
 
 def test_a_change_elsewhere_does_not(copy):
     before = digest(copy, "mibvh.metrics.epo")
-    edit(copy / "picture.py", "import", "import math\nimport")
+    edit(copy / "picture.py", "import io\n", "import io\nimport math\n")
     assert digest(copy, "mibvh.metrics.epo") == before
 
 

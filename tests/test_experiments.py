@@ -377,7 +377,7 @@ def test_every_experiment_has_its_tables(full):
     assert "whether they held" in page
     assert page.count("data-tip") > 20
     for name in ("rotation", f"{full[2].scenes[0].scene}-remaining"):
-        assert (full[2].folder / "figures" / f"{name}.png").stat().st_size > 5000
+        assert (full[2].folder / "figures" / f"{name}.svg").stat().st_size > 5000
 
 
 def judged(record, found):

@@ -134,7 +134,7 @@ def test_names_of_scenes_and_builders_are_data(folder):
     latex = (folder / "tables" / "trees.tex").read_text()
     assert r"\textbackslash{}input\{x\} \%\$\#\_\{\}\textasciitilde{}\textasciicircum{}\&" in latex
     assert pd.read_parquet(folder / "results.parquet")["scene"].nunique() == len(NAMES)
-    assert len(list((folder / "figures").glob("*.png"))) >= 4 * len(NAMES)
+    assert len(list((folder / "figures").glob("*.svg"))) >= 4 * len(NAMES)
 
 
 def test_a_scene_is_kept_and_read_back_under_any_name(folder):

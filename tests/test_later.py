@@ -17,7 +17,7 @@ from mibvh.builders.morton import morton_codes
 from mibvh.builders.ploc import PlocOptions, ploc
 from mibvh.builders.reinsertion import (
     _costs,
-    _find_all,
+    _find_some,
     _move_all,
     _parents_and_depth,
 )
@@ -171,6 +171,12 @@ def arrays_of(triangles):
     return left, right, box
 
 
+def find_all(nodes, *arrays):
+    places, gains = np.empty(len(nodes), np.int32), np.empty(len(nodes), np.float64)
+    _find_some(0, len(nodes), nodes, places, gains, None, *arrays)
+    return places, gains
+
+
 def inner_area(left, box):
     return _costs(None, box)[left >= 0].sum()
 
@@ -180,7 +186,7 @@ def test_gains_are_those_of_the_best_move_of_all_the_root_included(seed):
     left, right, box = arrays_of(soup(24, seed, size=0.2))
     parent, _, depth = _parents_and_depth(left, right)
     nodes = np.arange(1, len(left), dtype=np.int32)
-    places, gains = _find_all(None, nodes, left, right, parent, box, _costs(None, box), depth)
+    places, gains = find_all(nodes, left, right, parent, box, _costs(None, box), depth)
     before, across = inner_area(left, box), 0
     for node, place, gain in zip(nodes, places, gains, strict=True):
         best = 0.0
@@ -223,7 +229,7 @@ def test_moves_leave_a_tree():
         parent, _, depth = _parents_and_depth(left, right)
         nodes = rng.permutation(np.arange(1, len(left), dtype=np.int32))
         cost = _costs(None, box)
-        places, _ = _find_all(None, nodes, left, right, parent, box, cost, depth)
+        places, _ = find_all(nodes, left, right, parent, box, cost, depth)
         nodes, places = nodes[places >= 0], places[places >= 0]
         _move_all(
             None, nodes, places, left, right, parent, box, cost, np.zeros(len(left), np.bool_)

@@ -157,7 +157,7 @@ def test_what_a_user_adds_shows_everywhere(added, tmp_path):
     assert "noise in what by balance misses" in text
     page = study.report.read_text()
     assert PREDICTOR.formula in page
-    assert '<span class="soft">imbalance</span>' in page
+    assert "<b>by balance</b>" in page
     # The experiment: progress, result, files, tables, claims; and it is read back.
     assert Progress("soup300", "count leaves", "leaves", None, 0.0).experiment in {
         step.experiment for step in steps

@@ -237,7 +237,9 @@ def test_priorities_by_hand():
     triangles = Triangles(np.concatenate([frame, [first, second]]).astype("f4"))
     refs = References.of(triangles)
     origin, extent = np.zeros(3), np.full(3, 8 * refs.scale)
-    found = _priorities(triangles.corners, refs.scale, pack_boxes(refs), origin, extent)
+    found = np.zeros(4)
+    seen = triangles.corners, refs.scale, pack_boxes(refs), origin, extent
+    _priorities(0, 4, found, *seen)
     expected = [0, 0, (2**-1 * 8) ** (1 / 3), (2**-2 * 8) ** (1 / 3)]
     np.testing.assert_allclose(found, np.array(expected) * refs.scale ** (2 / 3), rtol=1e-6)
 

@@ -323,7 +323,7 @@ def test_impossible_requests():
     with pytest.raises(mibvh.MibvhError, match="style must be one of"):
         mibvh.trace(tree, triangles, rays, style="narrow")
     with pytest.raises(mibvh.MibvhError, match="a wide tree is traced in the wide style"):
-        mibvh.trace(mibvh.collapse(tree, 4), triangles, rays, repeats=1)
+        mibvh.trace(mibvh.collapse(tree, 4), triangles, rays, style="single", repeats=1)
     with pytest.raises(mibvh.MibvhError, match="leave cull off"):
         mibvh.trace(tree, triangles, rays, style="wide", cull=True)
     from mibvh.traversal.trace import Tracer

@@ -240,6 +240,7 @@ class _Search:
     "the share of rays that touch a box",
     source="mibvh, docs/better-trees.md",
     options=FiniteOptions,
+    traces=True,
 )
 def finite(triangles: Triangles, options: FiniteOptions, context: Context) -> Draft:
     """Build for the rays of the scene's cameras, or those that are given."""

@@ -52,7 +52,7 @@ def _make(chosen: argparse.Namespace) -> int:
             "samples": chosen.samples,
             "seconds": chosen.seconds,
             "experiments": chosen.experiments,
-            "builders": chosen.builders,
+            "builders": chosen.builders or None,
         }
     )
     scenes = scenes_of(chosen.scenes, chosen.without)
