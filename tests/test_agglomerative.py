@@ -10,6 +10,7 @@ from mibvh.builders import Context, Options, get
 from mibvh.builders.agglomerative import (
     _MAX_LEVELS,
     _WIDTH,
+    Clusters,
     _index,
     _nearest,
     _offsets,
@@ -116,7 +117,9 @@ def test_nearest_neighbour_equals_brute_force_while_clusters_vanish(kind):
     offsets = _offsets(n)
     members, slot_of = rng.permutation(n).astype(np.int32), np.full(n, -1, np.int32)
     rank = rng.integers(1, 4, n) * 2**32 + np.arange(n)
-    bound, least = _index(members, refs.lower, refs.upper, rank, offsets, slot_of)
+    none = np.zeros(0, np.int32)
+    clusters = Clusters(refs.lower, refs.upper, rank, none, none, none, slot_of)
+    _, _, bound, least = _index(members, offsets, clusters)
     scratch = (
         np.empty(_WIDTH, np.float32),
         np.empty(_MAX_LEVELS * _WIDTH, np.float32),

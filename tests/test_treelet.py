@@ -15,6 +15,8 @@ from mibvh.builders.rotations import box_area, depth_first
 from mibvh.builders.splitting import presplit
 from mibvh.builders.treelet import (
     _LANES,
+    Costs,
+    Nodes,
     RearrangeOptions,
     _grow,
     _improve_all,
@@ -117,6 +119,7 @@ def test_a_scene_of_one_treelet_gets_the_best_tree_there_is(count, max_leaf):
 def test_treelets_grow_by_their_largest_leaf():
     draft = radix_draft(References.of(soup(300, 3)))
     left, right, _, count, box = depth_first(draft)
+    tree = Nodes(left, right, box, count, np.zeros(len(left)))
     for root in np.flatnonzero(count >= 7):
         leaves, inner = [left[root], right[root]], [root]
         while len(leaves) < 7:
@@ -125,7 +128,7 @@ def test_treelets_grow_by_their_largest_leaf():
             inner.append(node)
             leaves += [left[node], right[node]]
         got = np.full((2, 8, _LANES), -1, np.int32)
-        _grow(None, root, 7, 3, left, right, box, got[0], got[1])
+        _grow(None, root, 7, 3, tree, got[0], got[1])
         assert set(got[0, :7, 3]) == set(leaves)
         assert got[1, :6, 3].tolist() == inner
         assert (got[:, :, [0, 1, 2, 4, 5, 6, 7]] == -1).all()
@@ -148,12 +151,13 @@ def test_nodes_come_lowest_first_and_never_two_on_one_path_together():
 def test_costs_boxes_and_counts_are_kept_up_to_date(max_leaf):
     refs = References.of(soup(700, 5))
     left, right, reference, count, box = depth_first(radix_draft(refs))
-    costs = 1.2, 1.0, max_leaf, None
+    costs = Costs(1.2, 1.0, max_leaf, None)
     cost = subtree_costs(left, right, box, count, *costs)
     before = cost[0]
     for least in (7, 14, 28):
         nodes, ends = nodes_above(0, least, left, right, count)
-        rebuilt = _improve_all(nodes, ends, 7, NONE_SPLIT, left, right, box, count, cost, *costs)
+        tree = Nodes(left, right, box, count, cost)
+        rebuilt = _improve_all(nodes, ends, 7, NONE_SPLIT, tree, costs)
         assert rebuilt > 0
         assert cost[0] < before
         before = cost[0]
@@ -253,7 +257,7 @@ def area_of(box):
 @pytest.mark.parametrize("max_leaf", [1, 2, 8])
 @pytest.mark.parametrize("owner", [(0, 0, 1, 1, 2), (0, 1, 2, 0, 0, 1), (0, 0, 0, 0)])
 def test_leaves_hold_a_triangle_once_and_that_is_what_they_cost(owner, max_leaf):
-    costs = 1.2, 1.0, max_leaf, None
+    costs = Costs(1.2, 1.0, max_leaf, None)
     joined = 0
     for seed in range(8):
         refs = parts_of(References.of(soup(len(owner), seed, size=0.8)), owner)
@@ -262,7 +266,7 @@ def test_leaves_hold_a_triangle_once_and_that_is_what_they_cost(owner, max_leaf)
         cost = subtree_costs(left, right, box, count, *costs)
         owner_of = owners(refs.triangle, left, reference)
         root, end = np.zeros(1, np.int32), np.ones(1, np.int64)
-        _improve_all(root, end, len(owner), owner_of, left, right, box, count, cost, *costs)
+        _improve_all(root, end, len(owner), owner_of, Nodes(left, right, box, count, cost), costs)
         least = cheapest_with_parts(boxes, owner, *costs[:3])
         assert cost[0] == pytest.approx(least, rel=1e-6)
         result = without_joined(refs.scale, owner_of, left, right, box)

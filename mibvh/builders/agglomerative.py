@@ -25,6 +25,8 @@ The stages, repeated in sweeps until one cluster is left:
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
@@ -46,6 +48,27 @@ _NOBODY = np.iinfo(np.int64).max
 _CHUNK = 2048
 
 
+class Clusters(NamedTuple):
+    """All clusters ever made; C is twice the number of references, less one."""
+
+    lower: Any  #: (C, 3) float32
+    upper: Any  #: (C, 3) float32
+    rank: Any  #: (C,) int64: number of references, and name (smallest reference) below that
+    left: Any  #: (C,) int32: the two that were merged; -1 for a single reference
+    right: Any  #: (C,) int32
+    neighbour: Any  #: (C,) int32: the nearest cluster, where it was looked for; or -1
+    slot_of: Any  #: (C,) int32: place in the index; -1 for what is none, or is merged
+
+
+class Index(NamedTuple):
+    """The clusters of a sweep, along the Morton curve, in blocks of blocks; see :func:`_index`."""
+
+    members: Any  #: (places,) int32: the cluster at each place; -1 for none any more
+    offsets: Any  #: (levels + 1,) int64: from :func:`_offsets`
+    bound: Any  #: (B, 6, 8) float32
+    least: Any  #: (B, 8) int64
+
+
 def _offsets(clusters: int) -> npt.NDArray[np.int64]:
     """First block of each level of the index, and the number of all blocks at the end."""
     offsets = [0]
@@ -58,7 +81,7 @@ def _offsets(clusters: int) -> npt.NDArray[np.int64]:
 
 
 @njit
-def _index(members, lower, upper, rank, offsets, slot_of):
+def _index(members, offsets, clusters):
     """Build the index over clusters in the order given.
 
     An entry of level 0 is a cluster: its box and its rank (number of references in the high
@@ -67,12 +90,8 @@ def _index(members, lower, upper, rank, offsets, slot_of):
     rank. The box that joins a query to any of them holds the box that joins it to these two
     corners, so one formula gives distances and lower bounds of distances. Empty places hold
     all of space and so are infinitely far.
-
-    Returns
-    -------
-    bound : (B, 6, 8) float32
-    least : (B, 8) int64
     """
+    lower, upper, rank, slot_of = clusters.lower, clusters.upper, clusters.rank, clusters.slot_of
     blocks = offsets[-1]
     bound = np.empty((blocks, 6, _WIDTH), np.float32)
     least = np.empty((blocks, _WIDTH), np.int64)
@@ -93,7 +112,7 @@ def _index(members, lower, upper, rank, offsets, slot_of):
     for level in range(len(offsets) - 2):
         for b in range(offsets[level], offsets[level + 1]):
             _summarise(bound, least, b, offsets[level + 1], b - offsets[level])
-    return bound, least
+    return Index(members, offsets, bound, least)
 
 
 @njit
@@ -224,29 +243,14 @@ def _neighbour_of(a, neighbour, members, slot_of, search):
 
 
 @njit
-def _sweep(
-    begin,
-    end,
-    limit,
-    made,
-    bound,
-    least,
-    offsets,
-    members,
-    slot_of,
-    neighbour,
-    lower,
-    upper,
-    rank,
-    left,
-    right,
-    width,
-):
+def _sweep(begin, end, limit, made, index, clusters, width):
     """Merge once from each start of ``members[begin:end]`` that is still a cluster.
 
     Clusters made in this sweep (``limit`` and above) are no starts of it. Returns the number
     of clusters ever made.
     """
+    members, offsets, bound, least = index
+    lower, upper, rank, left, right, neighbour, slot_of = clusters
     distance = np.empty(_WIDTH, np.float32)
     stack_area = np.empty(_MAX_LEVELS * _WIDTH, np.float32)
     stack_place = np.empty(_MAX_LEVELS * _WIDTH, np.int64)
@@ -305,33 +309,17 @@ def agglo(triangles: Triangles, options: Options, context: Context) -> Draft:
     rank = np.empty(total, np.int64)
     rank[:n] = (1 << 32) + np.arange(n)
     left, right, neighbour, slot_of = np.full((4, total), -1, np.int32)
+    clusters = Clusters(lower, upper, rank, left, right, neighbour, slot_of)
     members = np.arange(n, dtype=np.int32)
     made = n
     while made < total:
         codes = morton_codes(lower[members], upper[members])
         members = members[argsort_keys(codes, 63)]
-        offsets = _offsets(len(members))
-        bound, least = _index(members, lower, upper, rank, offsets, slot_of)
+        index = _index(members, _offsets(len(members)), clusters)
         limit = made
         for begin in range(0, len(members), _CHUNK):
-            made = _sweep(
-                begin,
-                min(begin + _CHUNK, len(members)),
-                limit,
-                made,
-                bound,
-                least,
-                offsets,
-                members,
-                slot_of,
-                neighbour,
-                lower,
-                upper,
-                rank,
-                left,
-                right,
-                _WIDTH,
-            )
+            end = min(begin + _CHUNK, len(members))
+            made = _sweep(begin, end, limit, made, index, clusters, _WIDTH)
             context.progress("merging clusters", (made - n) / (n - 1))
         members = members[members >= 0]
     # Node 0 is the root, the last cluster made.

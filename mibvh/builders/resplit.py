@@ -21,7 +21,7 @@ Stages of a pass
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -144,25 +144,32 @@ def _to_box(measure, half, box):
     box[6] = _measure_row(measure, half)
 
 
+class Parts(NamedTuple):
+    """The references, and the tree of them, with room for more."""
+
+    boxes: Any  #: (capacity, 8) float32; new references go behind
+    triangle: Any  #: (capacity,) int32: of each reference; -1 for those that are gone
+    rows: Any  #: (capacity, 16) float32: the tree, as in :mod:`mibvh.builders.insertion`
+    up: Any  #: (capacity,) int32
+    entry_of: Any  #: (capacity,) int32: where each reference is in the tree
+    free: Any  #: (capacity,) int32: rows not in use; the first ``tally[1]`` of them
+    #: (4,) int64: references ever made, free rows, references in use, and splits
+    tally: Any
+
+
 @njit
-def _split_some(
-    measure, corners, scale, boxes, triangle, rows, up, entry_of, chosen, free, heap, rules, tally
-):
+def _split_some(measure, corners, scale, parts, chosen, heap, rules):
     """Try to split the chosen references, in turn.
 
     Parameters
     ----------
-    boxes : (capacity, 8) float32; triangle : (capacity,) int32
-        The references; new ones go behind.
-    rows, up, entry_of
-        The tree, with room for as many.
+    parts : Parts
     chosen : (n,) int32
-    free : (capacity,) int32
-        Rows that are not in use; the first ``tally[1]`` of them.
+    heap : (capacity,) float64 and int32
+        Scratch of the search.
     rules : (c_inner, c_tri, price, most references)
-    tally : (4,) int64
-        References ever made, free rows, references in use, and splits.
     """
+    boxes, triangle, rows, up, entry_of, free, tally = parts
     links = rows.view(np.int32)
     keys, queue = heap
     c_inner, c_tri, price, most = rules
@@ -174,10 +181,10 @@ def _split_some(
     for r in chosen:
         if tally[2] >= most or tally[0] >= len(triangle) or triangle[r] < 0:
             continue
-        parts = _best_cut(
+        halved = _best_cut(
             measure, corners, triangle[r], scale, boxes, r, halves, trial, polygon, spare
         )
-        if parts == np.inf:
+        if halved == np.inf:
             continue
         entry = entry_of[r]
         if entry == 0:
@@ -188,7 +195,7 @@ def _split_some(
         _to_box(measure, halves[1], second)
         saved, place, row = _take_out(measure, rows, links, up, entry_of, entry)
         # What the two insertions may cost together.
-        limit = saved + (c_tri * (own - parts) - price * own) / c_inner
+        limit = saved + (c_tri * (own - halved) - price * own) / c_inner
         least = _measure_row(measure, halves[1])
         to, cost = _search(measure, rows, links, up, first, place, limit - least, keys, queue)
         if to >= 0:
@@ -231,14 +238,13 @@ def _joint_measure(measure, boxes, a, b):
 
 
 @njit
-def _merge_some(
-    measure, boxes, triangle, rows, up, entry_of, order, starts, free, heap, rules, tally
-):
+def _merge_some(measure, parts, order, starts, heap, rules):
     """Try to merge references of each triangle.
 
     ``order`` are references by triangle, those of the i-th from ``starts[i]`` on; otherwise as
     for :func:`_split_some`.
     """
+    boxes, triangle, rows, up, entry_of, free, tally = parts
     links = rows.view(np.int32)
     keys, queue = heap
     c_inner, c_tri, price, _ = rules
@@ -375,6 +381,11 @@ class Resplitter:
         self.tried_at_most = max(1, int(rules.trials * len(triangles)))
         self.rules = (max(options.c_inner, 1e-12), options.c_tri, rules.price, self.most)
 
+    def _parts(self) -> Parts:
+        return Parts(
+            self.boxes, self.triangle, self.rows, self.up, self.entry_of, self.free, self.tally
+        )
+
     def split(self, context: Context) -> int:
         """Try to split the references of greatest measure; return how many were."""
         before = self.tally[3]
@@ -386,16 +397,10 @@ class Resplitter:
                 self.measure,
                 self.triangles.corners,
                 self.scale,
-                self.boxes,
-                self.triangle,
-                self.rows,
-                self.up,
-                self.entry_of,
+                self._parts(),
                 order[begin : begin + _CHUNK],
-                self.free,
                 self.heap,
                 self.rules,
-                self.tally,
             )
             context.progress("splitting references", begin / len(order))
         return int(self.tally[3] - before)
@@ -411,20 +416,8 @@ class Resplitter:
         starts = np.flatnonzero(np.diff(np.sort(owner), prepend=-1)).astype(np.int64)
         starts = np.append(starts, len(order))
         for begin in range(0, len(starts) - 1, _CHUNK):
-            _merge_some(
-                self.measure,
-                self.boxes,
-                self.triangle,
-                self.rows,
-                self.up,
-                self.entry_of,
-                order,
-                starts[begin : begin + _CHUNK + 1],
-                self.free,
-                self.heap,
-                self.rules,
-                self.tally,
-            )
+            some = starts[begin : begin + _CHUNK + 1]
+            _merge_some(self.measure, self._parts(), order, some, self.heap, self.rules)
             context.progress("merging references", begin / len(starts))
         return int(before - self.tally[2])
 

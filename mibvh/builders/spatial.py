@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -432,10 +432,16 @@ def _split_node(measure, corners, scale, rules, lists, side, areas, task, childr
     return 2 * behind
 
 
+class Links(NamedTuple):
+    """The tree, (2 R - 1,) int32 each; a leaf's reference is a row of the lists."""
+
+    left: Any
+    right: Any
+    reference: Any
+
+
 @njit
-def _run(
-    measure, corners, scale, rules, lists, side, left, right, reference, task, once, children, tally
-):
+def _run(measure, corners, scale, rules, lists, side, links, task, once, children, tally):
     """Build all below a node, or split it only once.
 
     Parameters
@@ -451,8 +457,8 @@ def _run(
         Both sets of the three lists, with room for R references.
     side : (N + 2 (R - N),) uint8
         Scratch: where references across a plane go.
-    left, right, reference : (2 R - 1,) int32
-        The tree; a leaf's reference is a row of the lists.
+    links : Links
+        Written at the node, and below it.
     task : (8,) int64
         The node: first place in the lists, number of references, how many may be added,
         first new id, place in the tree, depth, whether spatial splits are allowed, and in
@@ -462,6 +468,7 @@ def _run(
     tally : (2,) int64
         Counts the nodes where a spatial split was looked for, and where one was made.
     """
+    left, right, reference = links
     most = task[1] + task[2]
     bins = new_bins(rules[0], most, task[2])
     areas = np.empty(max(most, 3 * SMALL), np.float32)
@@ -592,10 +599,10 @@ def sbvh(triangles: Triangles, options: SpatialOptions, context: Context) -> Dra
         options.c_tri / options.c_inner if options.c_inner > 0 else np.inf,
         options.max_leaf,
     )
-    links = np.full((3, 2 * room - 1), -1, np.int32)
+    links = Links(*np.full((3, 2 * room - 1), -1, np.int32))
     side = np.empty(n + 2 * slack, np.uint8)
     root = np.array([0, n, slack, n, 0, 0, 1, 0], np.int64)
-    scene = (measure, triangles.corners, scale, rules, lists, side, *links)
+    scene = (measure, triangles.corners, scale, rules, lists, side, links)
     tried, made = _build(scene, root, context)
     joined, lower, upper, owner = _compact(*links, lists)
     return Draft(

@@ -35,7 +35,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,15 +58,39 @@ _ROOTS = 4
 _LANES = 8
 
 
+class Nodes(NamedTuple):
+    """The tree that is rearranged.
+
+    Whose parts the leaf nodes are (:func:`owners`) stands beside it: compiled code without it
+    is chosen by an argument that is None.
+    """
+
+    left: Any  #: (2 R - 1,) int32: the children; -1 at a leaf node
+    right: Any  #: (2 R - 1,) int32
+    box: Any  #: (2 R - 1, 6) float32: lower and upper corner
+    count: Any  #: (2 R - 1,) int32: references below
+    cost: Any  #: (2 R - 1,) float64: from :func:`subtree_costs`
+
+
+class Costs(NamedTuple):
+    """What a tree is judged by."""
+
+    c_inner: float
+    c_tri: float
+    max_leaf: int
+    measure: Any  #: of boxes; None is the area
+
+
 @njit
-def _node_cost(node, left, right, box, count, cost, c_inner, c_tri, max_leaf, measure):
+def _node_cost(node, nodes, costs):
     """Least cost of a subtree, times its area, from those of its children."""
-    area = box_area(measure, box, node)
-    leaf = c_tri * area * count[node]
+    left, count, cost = nodes.left, nodes.count, nodes.cost
+    area = box_area(costs.measure, nodes.box, node)
+    leaf = costs.c_tri * area * count[node]
     if left[node] < 0:
         return leaf
-    inner = c_inner * area + (cost[left[node]] + cost[right[node]])
-    return leaf if count[node] <= max_leaf and leaf <= inner else inner
+    inner = costs.c_inner * area + (cost[left[node]] + cost[nodes.right[node]])
+    return leaf if count[node] <= costs.max_leaf and leaf <= inner else inner
 
 
 @njit
@@ -76,10 +100,10 @@ def subtree_costs(left, right, box, count, c_inner, c_tri, max_leaf, measure):
     Nodes must stand behind their parents, as :func:`depth_first` lays them out.
     """
     cost = np.empty(len(left), np.float64)
+    nodes = Nodes(left, right, box, count, cost)
+    costs = Costs(c_inner, c_tri, max_leaf, measure)
     for node in range(len(left) - 1, -1, -1):
-        cost[node] = _node_cost(
-            node, left, right, box, count, cost, c_inner, c_tri, max_leaf, measure
-        )
+        cost[node] = _node_cost(node, nodes, costs)
     return cost
 
 
@@ -119,12 +143,13 @@ def _first_of_each(tips, tip, owner):
 
 
 @njit
-def _join_parts(node, tips, tip, spare, owner, left, right, box, count, cost, costs):
+def _join_parts(node, tips, tip, spare, owner, nodes, costs):
     """Make the leaf nodes ``tips`` the subtree of ``node``, with one leaf for each triangle.
 
     Boxes of a triangle's parts are united. The other nodes the subtree needs are taken from
     ``spare``; those that are left over belong to the tree no more.
     """
+    left, right, box, count, cost = nodes
     kept = _first_of_each(tips, tip, owner)
     for i in range(kept, tip):
         j = 0
@@ -134,7 +159,7 @@ def _join_parts(node, tips, tip, spare, owner, left, right, box, count, cost, co
             box[tips[j], k] = min(box[tips[j], k], box[tips[i], k])
             box[tips[j], k + 3] = max(box[tips[j], k + 3], box[tips[i], k + 3])
     for j in range(kept):
-        cost[tips[j]] = _node_cost(tips[j], left, right, box, count, cost, *costs)
+        cost[tips[j]] = _node_cost(tips[j], nodes, costs)
     if kept == 1:
         for k in range(6):
             box[node, k] = box[tips[0], k]
@@ -146,51 +171,54 @@ def _join_parts(node, tips, tip, spare, owner, left, right, box, count, cost, co
         # They will be one leaf of the tree, so a chain is as good as anything.
         parent = node if j == 0 else spare[j - 1]
         left[parent], right[parent] = tips[j], last
-        _refit(parent, owner, left, right, box, count, cost, costs)
+        _refit(parent, owner, nodes, costs)
         last = parent
 
 
 @njit
-def _refit(node, owner, left, right, box, count, cost, costs):
+def _refit(node, owner, nodes, costs):
     """Compute owner, box, references and cost of a node from its children."""
+    left, right, box, count, cost = nodes
     a, b = left[node], right[node]
     for k in range(3):
         box[node, k] = min(box[a, k], box[b, k])
         box[node, k + 3] = max(box[a, k + 3], box[b, k + 3])
     owner[node] = max(owner[a], owner[b])
     count[node] = count[a] + count[b]
-    cost[node] = _node_cost(node, left, right, box, count, cost, *costs)
+    cost[node] = _node_cost(node, nodes, costs)
 
 
 @njit
-def join_small(owner, left, right, box, count, cost, c_inner, c_tri, max_leaf, measure):
+def join_small(owner, nodes, costs):
     """Join a triangle's parts in every subtree that is cheapest as one leaf.
 
-    What :func:`subtree_costs` does where triangles are split; fills ``cost``.
+    What :func:`subtree_costs` does where triangles are split; fills the nodes' ``cost``.
     """
+    left, right, box, count, cost = nodes
+    max_leaf = costs.max_leaf
     tips = np.empty(2 * max_leaf, np.int32)
     spare = np.empty(2 * max_leaf, np.int32)
-    costs = (c_inner, c_tri, max_leaf, measure)
     for node in range(len(left) - 1, -1, -1):
         if left[node] < 0:
-            cost[node] = _node_cost(node, left, right, box, count, cost, *costs)
+            cost[node] = _node_cost(node, nodes, costs)
             continue
-        _refit(node, owner, left, right, box, count, cost, costs)
+        _refit(node, owner, nodes, costs)
         if count[left[node]] > max_leaf or count[right[node]] > max_leaf:
             continue
         tip, _ = _below(node, left, right, tips, 0, spare, 0)
         kept = _first_of_each(tips, tip, owner)
-        leaf = c_tri * box_area(measure, box, node) * kept
+        leaf = costs.c_tri * box_area(costs.measure, box, node) * kept
         if kept < tip and kept <= max_leaf and leaf <= cost[node]:
-            _join_parts(node, tips, tip, spare[1:], owner, left, right, box, count, cost, costs)
+            _join_parts(node, tips, tip, spare[1:], owner, nodes, costs)
 
 
 @njit
-def _find_repeats(size, lane, leaves, owner, left, right, count, max_leaf, work, s_again):
+def _find_repeats(size, lane, leaves, owner, nodes, max_leaf, work, s_again):
     """Count, for every subset of a treelet's leaves, the references it could do without.
 
     Only parts of split triangles can be such, and most subtrees hold none.
     """
+    left, right, count = nodes.left, nodes.right, nodes.count
     tips, spare, keys = work
     s_again[:, lane] = 0.0
     used = 0
@@ -219,12 +247,13 @@ def _find_repeats(size, lane, leaves, owner, left, right, count, max_leaf, work,
 
 
 @njit
-def _grow(measure, root, size, lane, left, right, box, leaves, inner):
+def _grow(measure, root, size, lane, nodes, leaves, inner):
     """Grow a treelet: open the leaf of largest area until there are ``size`` leaves.
 
     There must be that many references below the root. Fills column ``lane`` of ``leaves``
     and of ``inner``, the root first.
     """
+    left, right, box = nodes.left, nodes.right, nodes.box
     area = np.empty(8, np.float64)
     node, place = root, 0
     for n in range(1, size):
@@ -319,11 +348,12 @@ def _side_of_union(s_box, s, a, b):
 
 
 @njit
-def _rebuild(size, lane, leaves, inner, owner, left, right, box, count, cost, costs, work, subsets):
+def _rebuild(size, lane, leaves, inner, owner, nodes, costs, work, subsets):
     """Write the best tree of a treelet into its own inner nodes; the root stays the root.
 
     Where a leaf holds several parts of a triangle, they become one.
     """
+    left, right, box, count, cost = nodes
     tips, spare, _ = work
     s_box, s_count, s_again, s_cost = subsets
     slot = np.empty(8, np.int32)
@@ -339,8 +369,8 @@ def _rebuild(size, lane, leaves, inner, owner, left, right, box, count, cost, co
         cost[node] = s_cost[s, lane]
         if owner is not None:
             distinct = s_count[s, lane] - s_again[s, lane]
-            leaf = costs[1] * box_area(costs[3], box, node) * distinct
-            if s_again[s, lane] > 0.0 and distinct <= costs[2] and leaf <= s_cost[s, lane]:
+            leaf = costs.c_tri * box_area(costs.measure, box, node) * distinct
+            if s_again[s, lane] > 0.0 and distinct <= costs.max_leaf and leaf <= s_cost[s, lane]:
                 tip, free, members = 0, 0, 0
                 for i in range(size):
                     if s >> i & 1:
@@ -349,7 +379,7 @@ def _rebuild(size, lane, leaves, inner, owner, left, right, box, count, cost, co
                 for _ in range(members - 2):
                     spare[free] = inner[used, lane]
                     used, free = used + 1, free + 1
-                _join_parts(node, tips, tip, spare, owner, left, right, box, count, cost, costs)
+                _join_parts(node, tips, tip, spare, owner, nodes, costs)
                 continue
         # Which partition was the best is not kept for all the subsets: it is needed for the
         # few that become nodes only.
@@ -386,14 +416,16 @@ def _rebuild(size, lane, leaves, inner, owner, left, right, box, count, cost, co
 
 
 @njit
-def _improve(nodes, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf, measure):
-    """Rearrange the treelets rooted in ``nodes``; none may stand below another one.
+def _improve(roots, size, owner, nodes, costs):
+    """Rearrange the treelets with these roots; none may stand below another one.
 
     Their descendants' costs must be up to date. Returns how many were rebuilt.
     """
+    left, right, box, count, cost = nodes
+    c_inner, c_tri, max_leaf, measure = costs
     leaves = np.zeros((8, _LANES), np.int32)
     inner = np.zeros((8, _LANES), np.int32)
-    roots = np.zeros(_LANES, np.int32)
+    grown = np.zeros(_LANES, np.int32)
     s_box = np.zeros((1 << size, 6, _LANES), np.float32)
     s_count = np.zeros((1 << size, _LANES), np.float64)
     s_cost = np.zeros((1 << size, _LANES), np.float64)
@@ -401,20 +433,19 @@ def _improve(nodes, size, owner, left, right, box, count, cost, c_inner, c_tri, 
     subsets = (s_box, s_count, s_again, s_cost)
     room = 8 * (max_leaf + 1) if owner is not None else 0
     work = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int64)
-    costs = (c_inner, c_tri, max_leaf, measure)
     rebuilt, begin = 0, 0
-    while begin < len(nodes):
+    while begin < len(roots):
         used = 0
-        while used < _LANES and begin < len(nodes):
-            root = nodes[begin]
+        while used < _LANES and begin < len(roots):
+            root = roots[begin]
             begin += 1
             # Parts may have been joined below.
             count[root] = count[left[root]] + count[right[root]]
-            cost[root] = _node_cost(root, left, right, box, count, cost, *costs)
+            cost[root] = _node_cost(root, nodes, costs)
             if count[root] < size:
                 continue
-            roots[used] = root
-            _grow(measure, root, size, used, left, right, box, leaves, inner)
+            grown[used] = root
+            _grow(measure, root, size, used, nodes, leaves, inner)
             for i in range(size):
                 leaf = leaves[i, used]
                 for k in range(6):
@@ -422,28 +453,12 @@ def _improve(nodes, size, owner, left, right, box, count, cost, c_inner, c_tri, 
                 s_count[1 << i, used] = count[leaf]
                 s_cost[1 << i, used] = cost[leaf]
             if owner is not None:
-                _find_repeats(
-                    size, used, leaves, owner, left, right, count, max_leaf, work, s_again
-                )
+                _find_repeats(size, used, leaves, owner, nodes, max_leaf, work, s_again)
             used += 1
-        _solve(size, owner, *costs, *subsets)
+        _solve(size, owner, c_inner, c_tri, max_leaf, measure, *subsets)
         for lane in range(used):
-            if s_cost[(1 << size) - 1, lane] < cost[roots[lane]]:
-                _rebuild(
-                    size,
-                    lane,
-                    leaves,
-                    inner,
-                    owner,
-                    left,
-                    right,
-                    box,
-                    count,
-                    cost,
-                    costs,
-                    work,
-                    subsets,
-                )
+            if s_cost[(1 << size) - 1, lane] < cost[grown[lane]]:
+                _rebuild(size, lane, leaves, inner, owner, nodes, costs, work, subsets)
                 rebuilt += 1
     return rebuilt
 
@@ -481,54 +496,23 @@ def nodes_above(root, least, left, right, count):
 
 
 @njit
-def _improve_all(
-    nodes, ends, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf, measure
-):
-    """Rearrange the treelets rooted in nodes ordered by height. Returns how many were rebuilt."""
+def _improve_all(roots, ends, size, owner, nodes, costs):
+    """Rearrange the treelets with roots ordered by height. Returns how many were rebuilt."""
     rebuilt, begin = 0, 0
     for end in ends:
-        rebuilt += _improve(
-            nodes[begin:end],
-            size,
-            owner,
-            left,
-            right,
-            box,
-            count,
-            cost,
-            c_inner,
-            c_tri,
-            max_leaf,
-            measure,
-        )
+        rebuilt += _improve(roots[begin:end], size, owner, nodes, costs)
         begin = end
     return rebuilt
 
 
 @njit
-def _improve_subtrees(
-    roots, least, size, owner, left, right, box, count, cost, c_inner, c_tri, max_leaf, measure
-):
+def _improve_subtrees(tops, least, size, owner, nodes, costs):
     """Rearrange subtrees one after the other. Returns treelets looked at and rebuilt."""
     looked, rebuilt = 0, 0
-    for i in range(len(roots)):
-        nodes, ends = nodes_above(roots[i], least, left, right, count)
-        looked += len(nodes)
-        rebuilt += _improve_all(
-            nodes,
-            ends,
-            size,
-            owner,
-            left,
-            right,
-            box,
-            count,
-            cost,
-            c_inner,
-            c_tri,
-            max_leaf,
-            measure,
-        )
+    for i in range(len(tops)):
+        roots, ends = nodes_above(tops[i], least, nodes.left, nodes.right, nodes.count)
+        looked += len(roots)
+        rebuilt += _improve_all(roots, ends, size, owner, nodes, costs)
     return looked, rebuilt
 
 
@@ -632,16 +616,17 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
         and rebuilt in its report.
     """
     measure = context.compiled_measure(draft.references.scale)
-    costs = (options.c_inner, options.c_tri, options.max_leaf, measure)
+    costs = Costs(options.c_inner, options.c_tri, options.max_leaf, measure)
     left, right, reference, count, box = depth_first(draft)
     cost = subtree_costs(left, right, box, count, *costs)
+    nodes = Nodes(left, right, box, count, cost)
     owner = owners(draft.references.triangle, left, reference) if options.rounds else None
     if owner is not None:
-        join_small(owner, left, right, box, count, cost, *costs)
+        join_small(owner, nodes, costs)
     # A scene of fewer triangles is a smaller treelet.
     size = min(options.size, int(count[0]))
     rounds = options.rounds if size > 2 else 0
-    arrays = (size, owner, left, right, box, count, cost, *costs)
+    arrays = (size, owner, nodes, costs)
     # Subtrees of at most `limit` references are the units of parallel work; the few nodes
     # above them follow. The limit depends on the scene alone, as the outcome must.
     limit = max(256, len(draft.references) // 256)

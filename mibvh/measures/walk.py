@@ -7,6 +7,8 @@ thousand rays traced without Mitsuba.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from mibvh._jit import njit
@@ -16,6 +18,25 @@ from mibvh.tree import MAX_DEPTH, Tree
 from mibvh.triangles import F32, F64, I32, Triangles
 
 _BLOCK = 1024
+
+
+class Nodes(NamedTuple):
+    """A tree's arrays as the walk reads them."""
+
+    lower: Any
+    upper: Any
+    left: Any
+    first: Any
+    count: Any
+    references: Any
+
+
+class Rays(NamedTuple):
+    """Rays in float64; ``tmax`` in lengths of the direction."""
+
+    o: Any
+    d: Any
+    tmax: Any
 
 
 @njit(allocates=False)
@@ -64,10 +85,10 @@ def _hit(corners, triangle, o, d, t):
 
 
 @njit
-def _walk(
-    begin, end, lower, upper, left, first, count, references, corners, o, d, tmax, out, visits
-):
+def _walk(begin, end, nodes, corners, rays, out, visits):
     """Trace rays; ``out`` gets distances (inf: none), ``visits`` inner nodes and triangles."""
+    lower, upper, left, first, count, references = nodes
+    o, d, tmax = rays
     stack = np.empty(MAX_DEPTH + 1, np.int32)
     inverse = np.empty(3, np.float64)
     for r in range(begin, end):
@@ -122,21 +143,13 @@ def walk(
         Inner nodes visited, and triangles tested.
     """
     t, visits = np.empty(len(o), np.float64), np.zeros((len(o), 2), np.int32)
-    arrays = (
-        tree.lower,
-        tree.upper,
-        tree.left,
-        tree.first,
-        tree.count,
-        tree.references,
-        triangles.corners,
-        np.ascontiguousarray(o, np.float64),
-        np.ascontiguousarray(d, np.float64),
-        np.ascontiguousarray(tmax, np.float64),
-        t,
-        visits,
-    )
-    run_blocks(lambda _, begin, end: _walk(begin, end, *arrays), len(o), _BLOCK)
+    nodes = Nodes(tree.lower, tree.upper, tree.left, tree.first, tree.count, tree.references)
+    rays = Rays(*(np.ascontiguousarray(a, np.float64) for a in (o, d, tmax)))
+
+    def work(_worker: int, begin: int, end: int) -> None:
+        _walk(begin, end, nodes, triangles.corners, rays, t, visits)
+
+    run_blocks(work, len(o), _BLOCK)
     return t, visits
 
 

@@ -183,6 +183,7 @@ def walk(
 ):
     """Add the foreign areas of the references ``begin`` to ``end`` to ``sums`` (M,) int64.
 
+    Thirteen arguments: with those beside ``nodes`` and ``work`` in tuples too, EPO took 8 % longer.
     ``walked`` marks the references that stand for their triangle: the first of each. With
     ``cut_to_leaf`` every reference stands for the part of its triangle in its leaf's box.
     """

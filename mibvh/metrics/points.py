@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import statistics
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -47,11 +47,30 @@ class Estimate:
         return self.value - reach, self.value + reach
 
 
+class _Nodes(NamedTuple):
+    """A tree's arrays as a query reads them."""
+
+    lower: Any
+    upper: Any
+    left: Any
+    first: Any
+    count: Any
+    depth: int
+    cost: Any  #: (M,) float64: what each node adds to the sums
+
+
+class _Held(NamedTuple):
+    """Positions of each triangle's references, from :func:`triangle_positions`."""
+
+    starts: Any
+    positions: Any
+
+
 @njit
-def _query(
-    begin, end, points, ids, starts, positions, lower, upper, left, first, count, depth, cost, out
-):
+def _query(begin, end, points, ids, held, nodes, out):
     """Cost of the nodes that hold each point: out[:, 0] foreign ones, out[:, 1] the point's own."""
+    starts, positions = held
+    lower, upper, left, first, count, depth, cost = nodes
     stack = np.empty(depth + 2, np.int32)
     for i in range(begin, end):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -171,24 +190,11 @@ def _sums(
 ) -> F64:
     """(P, 2) float64: weights of the foreign nodes around each point, and of the point's own."""
     out = np.zeros((len(points), 2))
+    held = _Held(starts, positions)
+    nodes = _Nodes(tree.lower, tree.upper, tree.left, tree.first, tree.count, tree.depth, weights)
 
     def work(_worker: int, begin: int, end: int) -> None:
-        _query(
-            begin,
-            end,
-            points,
-            ids,
-            starts,
-            positions,
-            tree.lower,
-            tree.upper,
-            tree.left,
-            tree.first,
-            tree.count,
-            tree.depth,
-            weights,
-            out,
-        )
+        _query(begin, end, points, ids, held, nodes, out)
 
     run_blocks(work, len(points), _BLOCK)
     return out
