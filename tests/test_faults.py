@@ -78,8 +78,12 @@ def test_a_full_disk(arguments, made, tmp_path):
     ended = mibvh_command(*arguments, most_bytes=1024)
     assert ended.returncode == 2, ended.stderr
     assert "cannot be written (File too large)" in ended.stderr
-    # Dr.Jit says in a line of its own that it cannot keep its kernels.
-    said = [line for line in ended.stderr.splitlines() if not line.startswith("jit_kernel_write")]
+    # Dr.Jit says in a line of its own that it cannot keep its kernels; a slow run has progress.
+    said = [
+        line
+        for line in ended.stderr.splitlines()
+        if not line.startswith("jit_kernel_write") and not line.endswith("%)")
+    ]
     assert len(said) == 1
     left = [path for path in tmp_path.rglob("*") if path.is_file()]
     assert [path for path in left if path.suffix not in (".xml", ".ply")] == []

@@ -154,7 +154,9 @@ def test_parameters_in_every_command(cli, tmp_path):
     assert json.loads(out)["scene"] == "s[n=3]"
     # The file has no camera: they are chosen.
     code, out, err = cli("render", path, "-o", picture, "--size", "16x12", "--spp", 1, *given)
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert err.endswith("it has no camera that can be used; the viewpoint was chosen for it\n")
+    assert err.count("\n") == 1
     assert json.loads(out)["width"] == 16
     for command, output in (("build", tree), ("render", picture)):
         code, _, err = cli(command, "cornell@1000", "-o", output, "-D", "no=3")

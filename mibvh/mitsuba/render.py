@@ -121,7 +121,7 @@ def render(
         image = _in_passes(plugin, scene, camera, seed, spp, tell)
     notes = list(dict.fromkeys(str(w.message) for w in said if w.category is UserWarning))
     if not any(camera == one for one in scene.sensors()):
-        notes.append(f"{source} has no camera that can be used; the viewpoint was chosen for it")
+        notes.append("it has no camera that can be used; the viewpoint was chosen for it")
     with atomic_path(output) as path:
         if kind == ".exr":
             _write_exr(mi, image, plugin, path)
