@@ -159,7 +159,7 @@ def _figures(records: Sequence[SceneRecord], chosen: argparse.Namespace) -> None
         rotation_figure.draw(chosen.docs / "docs")
     if not chosen.pages_only:
         folder = chosen.output / "readme"
-        study([chosen.readme_scene], folder, builders=chosen.builders)
+        study([chosen.readme_scene], folder, builders=chosen.builders or None)
         found = remake_report(folder, _PNG)
         name = f"{chosen.readme_scene}-counted.png"
         shutil.copy(found.folder / "figures" / name, images / "livingroom.png")
