@@ -108,8 +108,9 @@ def render(
     plugin = given if integrator or parameters else _own_integrator(scene) or given
     integrator = integrator or _plugin_name(plugin) or "bvh_path"
     camera = _camera(source, scene, sensor, defines or {})
+    own = any(camera == one for one in scene.sensors())
     if spp is None:
-        spp = _own_samples(source, camera, scene)
+        spp = _samples(source, camera, own)
     if size:
         params = mi.traverse(camera)
         params["film.size"] = list(size)
@@ -120,7 +121,7 @@ def render(
             plugin.prepare(scene, camera, progress=tell)
         image = _in_passes(plugin, scene, camera, seed, spp, tell)
     notes = list(dict.fromkeys(str(w.message) for w in said if w.category is UserWarning))
-    if not any(camera == one for one in scene.sensors()):
+    if not own:
         notes.append("it has no camera that can be used; the viewpoint was chosen for it")
     with atomic_path(output) as path:
         if kind == ".exr":
@@ -173,11 +174,11 @@ def _camera(source: str, scene: Any, sensor: int, defines: dict[str, str]) -> An
     return sensors[sensor]
 
 
-def _own_samples(source: str, camera: Any, scene: Any) -> int:
+def _samples(source: str, camera: Any, own: bool) -> int:
     """Samples per pixel that a scene file asks for; 16 where the camera is not its own."""
     path, _ = find_scene_file(source)
-    own = path.suffix.lower() == ".xml" and any(camera == one for one in scene.sensors())
-    return int(camera.sampler().sample_count()) if own else _SAMPLES
+    asked = own and path.suffix.lower() == ".xml"
+    return int(camera.sampler().sample_count()) if asked else _SAMPLES
 
 
 def _mitsuba_scene(source: str, defines: dict[str, str]) -> Any:

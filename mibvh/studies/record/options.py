@@ -98,24 +98,24 @@ class StudyOptions:
                 continue
             names = split(given) if isinstance(given, str) else _names(name, given)
             object.__setattr__(self, name, names)
-        self._turn_on("width", widths=widths_of(self.widths))
+        object.__setattr__(self, "widths", widths_of(self.widths))
         weights(self.kinds)  # refuses what is none
-        self._turn_on("kinds", kinds=self.kinds)
+        self._ask_for("width", bool(self.widths))
+        self._ask_for("kinds", bool(self.kinds))
         if self.experiments == ("all",):
             object.__setattr__(self, "experiments", tuple(EXPERIMENTS))
         self._check_styles()
+        self._ask_for("styles", self.styles != ("single",))
         if unknown := sorted(set(self.experiments) - set(EXPERIMENTS)):
             raise MibvhError(
                 f"there is no experiment {unknown[0]!r}{did_you_mean(unknown[0], EXPERIMENTS)}; "
                 f"there are: {', '.join(EXPERIMENTS)}"
             )
 
-    def _turn_on(self, experiment: str, **choice: tuple[Any, ...]) -> None:
-        """Take a choice of an experiment, which asks for it if there is any."""
-        for name, chosen in choice.items():
-            object.__setattr__(self, name, chosen)
-            if chosen and not {experiment, "all"} & set(self.experiments):
-                object.__setattr__(self, "experiments", (*self.experiments, experiment))
+    def _ask_for(self, experiment: str, asked: bool) -> None:
+        """Add an experiment that another choice asks for."""
+        if asked and not {experiment, "all"} & set(self.experiments):
+            object.__setattr__(self, "experiments", (*self.experiments, experiment))
 
     def _check_warps(self) -> None:
         from mibvh.traversal.warp import check_rules  # compiled code: not for options' sake
@@ -134,8 +134,6 @@ class StudyOptions:
                 )
         if len(set(self.styles)) < len(self.styles):
             raise MibvhError(f"styles names one twice: {', '.join(self.styles)}")
-        if self.styles != ("single",) and "styles" not in self.experiments:
-            object.__setattr__(self, "experiments", (*self.experiments, "styles"))
 
     def rays(self) -> dict[str, Any]:
         """Arguments for :func:`mibvh.diffuse_rays`."""
