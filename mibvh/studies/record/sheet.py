@@ -15,8 +15,6 @@ import pandas as pd
 from mibvh.files import atomic_path
 from mibvh.metrics.registry import Quantity
 
-#: Rows that a page shows unfolded.
-_LONG = 18
 #: What stands where there is no value.
 _NONE = "–"
 #: What LaTeX takes for commands, and letters and signs that it does not know by themselves.
@@ -148,11 +146,6 @@ class Sheet:
         errors = {c.error: f"{c.head} error" for c in self.columns if c.error}
         names = {c.key: c.head for c in self.columns} | errors
         return self.frame[list(names)].rename(columns=names)
-
-    @property
-    def long(self) -> bool:
-        """Whether it has so many rows that a page shows it folded."""
-        return not self.unfolded and len(self.frame) > _LONG
 
     def is_text(self, column: Column) -> bool:
         """Whether a column holds words rather than numbers."""
