@@ -47,7 +47,7 @@ PREDICTORS = (
     ),
     Predictor(
         name="finite rays",
-        formula="s SAH + point query at the rays' starts; nothing is fitted",
+        formula="s SAH + point query at the rays' starts",
         free="0",
         needs=("sah", "point_query", "length_ratio"),
         predict=lambda values, _: finite_ray_cost(
@@ -58,7 +58,7 @@ PREDICTORS = (
     ),
     Predictor(
         name="finite by lines",
-        formula="the same with the SAH of the rays' lines; nothing is fitted",
+        formula="the same with the SAH of the rays' lines",
         free="0",
         needs=("sah_lines", "point_query", "line_share"),
         predict=lambda values, _: finite_ray_cost(

@@ -40,7 +40,7 @@ PREDICTORS = (
     ),
     Predictor(
         name="any-hit rays",
-        formula="finite rays, less what ending at any hit saves; nothing is fitted",
+        formula="finite rays, less what ending at any hit saves",
         free="0",
         needs=("sah", "point_query", "length_ratio"),
         predict=lambda values, _: any_hit_ray_cost(
