@@ -6,6 +6,10 @@ SCENE is whatever `mibvh study` takes. Trees of the nine builders are built, or 
 `FOLDER/SCENE/BUILDER.npz`; rays are made, or read from `FOLDER/SCENE/rays160.npz`. What is
 measured is kept in a file: a second run goes on where the first was, and with no scene at all
 only the tables are printed. No clock is read: all figures are counts, the same on any machine.
+
+    python benchmarks/simd.py --keep simd.json --timed results.csv
+
+holds them against the times of a study of the same scenes, on any machine and in any variant.
 """
 
 from __future__ import annotations
@@ -484,6 +488,54 @@ def widths(scenes: Scenes) -> None:
     table(["builder", *map(str, WIDTHS)], lines)
 
 
+def timed(rows: list[Row], file: Path) -> None:
+    """How well simulated cost foretells the SIMD times of a study, and what else does."""
+    import pandas as pd
+
+    trees = pd.DataFrame([dataclasses.asdict(row) for row in rows])[["scene", "builder"]]
+    times = pd.read_csv(file)[["scene", "builder", "scalar_ns", "simd_ns"]].dropna()
+    found = trees.reset_index().merge(times, on=["scene", "builder"])
+    parts = [part for _, part in found.groupby("scene", sort=False)]
+    y = [_centred(list(part.simd_ns / part.scalar_ns)) for part in parts]
+    print(f"\n## Against the SIMD times of {file}: {len(parts)} scenes, {len(found)} trees\n")
+    sizes = [100 * np.abs(d) for d in y]
+    mean, largest = (np.mean([f(d) for d in sizes]) for f in (np.mean, np.max))
+    print(f"Mean / largest timed deviation of a scene, per cent: {mean:.1f} / {largest:.1f}")
+    kernels = ("counted", *(name for name in RUNS if name != "persistent 1"))
+    lines, of_scenes = [], {}
+    for kernel in kernels:
+        costs = [[_cost(rows[i], kernel) for i in part["index"]] for part in parts]
+        scalar = [[rows[i].scalar for i in part["index"]] for part in parts]
+        x = [_centred(list(np.divide(c, s))) for c, s in zip(costs, scalar, strict=True)]
+        rs = [np.corrcoef(c, part.simd_ns)[0, 1] for c, part in zip(costs, parts, strict=True)]
+        r = "" if kernel == "counted" else f"{pooled_r(x, y):.3f}"
+        lines.append([kernel, f"{np.mean(rs):.4f}", f"{np.min(rs):.4f}", r])
+        of_scenes[kernel] = rs
+    table(["simulated cost", "r with SIMD ns, mean", "least", "r of the deviations, pooled"], lines)
+    shown = ("counted", "persistent 32", "single 16", "single 32")
+    table(
+        ["scene", "SIMD ns/ray", "deviation, mean / largest", *(f"r of {name}" for name in shown)],
+        [
+            [
+                part.scene.iloc[0],
+                f"{part.simd_ns.min():.4g} to {part.simd_ns.max():.4g}",
+                f"{d.mean():.1f} / {d.max():.1f}",
+                *(f"{of_scenes[name][i]:.4f}" for name in shown),
+            ]
+            for i, (part, d) in enumerate(zip(parts, sizes, strict=True))
+        ],
+    )
+    lines = []
+    for quantity, heading in QUANTITIES.items():
+        x = [_centred([rows[i].quantities[quantity] for i in part["index"]]) for part in parts]
+        lines.append([heading, f"{pooled_r(x, y):.3f}", f"{share(explained(x, y)):.2f}"])
+    table(["quantity", "r with the timed deviation, pooled", "explained, held out"], lines)
+
+
+def _cost(row: Row, kernel: str) -> float:
+    return row.scalar if kernel == "counted" else row.costs[kernel]
+
+
 def draw(scenes: Scenes, path: Path) -> None:
     """Deviation and utilisation against width, a curve per builder."""
     import matplotlib.pyplot as plt
@@ -521,6 +573,7 @@ def main() -> None:
     parser.add_argument("--builders", help="comma-separated; the paper's nine by default")
     parser.add_argument("--check", metavar="SCENE", help="only see whether order and queue matter")
     parser.add_argument("--width", type=int, default=160, help="pixels per viewpoint, across")
+    parser.add_argument("--timed", type=Path, help="results.csv of a study of the same scenes")
     parser.add_argument("--figure", type=Path, help="where to draw the curves over width")
     arguments = parser.parse_args()
     if arguments.check:
@@ -528,6 +581,9 @@ def main() -> None:
         return
     builders = arguments.builders.split(",") if arguments.builders else names()
     rows = measure_all(arguments.scenes, builders, arguments.keep, arguments.trees, arguments.width)
+    if arguments.timed:
+        timed(rows, arguments.timed)
+        return
     scenes = Scenes(rows)
     if not scenes.names:
         raise SystemExit(f"nothing is measured in {arguments.keep}: name scenes")
