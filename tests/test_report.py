@@ -191,6 +191,9 @@ def test_the_answer_takes_ten_lines(small_study):
     lines = answer(small_study.scenes, small_study.correlations)
     assert 3 <= len(lines) <= 10
     assert lines[0].startswith(small_study.scenes[0].scene)
+    checked = next(line for line in lines if line.startswith("Checked: "))
+    checks = sum(len(tree.audit) for record in small_study.scenes for tree in record.trees)
+    assert f"{checks:,} comparisons with independent code, none failed" in checked
     many = [
         dataclasses.replace(r, scene=f"{r.scene}{i}") for i in range(20) for r in small_study.scenes
     ]

@@ -40,12 +40,18 @@ class Winner:
         """Whether the lead is beyond twice its error; a lead of unknown error is not."""
         return bool(self.lead > _SURE * self.error)
 
-    def __str__(self) -> str:
-        if not self.second:
-            return self.builder
+    @property
+    def margin(self) -> str:
+        """The lead with its error, in words."""
         lead = f"{self.lead:.1%}"
         if np.isfinite(self.error):
             lead += f" ± {self.error:.1%}" if self.error >= 5e-4 else " ± under 0.1%"
+        return lead
+
+    def __str__(self) -> str:
+        if not self.second:
+            return self.builder
+        lead = self.margin
         if self.sure:
             return f"{self.builder}, {lead} ahead of {self.second}"
         return f"{self.builder} or {self.second} ({lead} apart)"

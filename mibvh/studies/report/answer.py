@@ -8,13 +8,14 @@ import numpy as np
 import pandas as pd
 
 from mibvh.metrics.predictors import predictors
-from mibvh.studies.analyse.correlations import SCALAR, overview
+from mibvh.studies.analyse.correlations import SCALAR, overview, worst_error
 from mibvh.studies.analyse.winners import mean_cost_over_best, winner, wins
 from mibvh.studies.record.scene import Records, SceneRecord
+from mibvh.studies.report.tables.audit import audits, failures
 from mibvh.studies.report.tables.prediction import NAMED
 
 #: Scenes that are told one by one; of more there is a sum.
-_FEW = 4
+_FEW = 3
 
 
 def answer(records: Records, correlations: pd.DataFrame) -> list[str]:
@@ -26,7 +27,12 @@ def answer(records: Records, correlations: pd.DataFrame) -> list[str]:
     correlations : DataFrame
         From :func:`mibvh.studies.analyse.correlations.correlations`.
     """
-    return [*_best(records), *_predicted(correlations), *_why(correlations)]
+    return [
+        *_best(records),
+        *_trusted(records),
+        *_predicted(correlations),
+        *_why(correlations),
+    ]
 
 
 def _best(records: Records) -> Iterator[str]:
@@ -58,17 +64,40 @@ def _given(record: SceneRecord) -> Iterator[str]:
             yield f"{record.scene}: {tree.builder} is {place}, {above}"
 
 
+def _trusted(records: Records) -> Iterator[str]:
+    """What the numbers were checked by, and how well times are known."""
+    checks = sum(len(of) for record in records for _, of in audits(record))
+    if not checks:
+        return
+    failed = len(failures(records))
+    error = worst_error(records, SCALAR.error)
+    known = f"; times are known to ±{error:.1%} or better" if np.isfinite(error) else ""
+    yield (
+        f"Checked: {checks:,} comparisons with independent code, {failed or 'none'} failed; "
+        f"counted cost has no noise but that of the rays{known}"
+    )
+
+
 def _predicted(correlations: pd.DataFrame) -> Iterator[str]:
-    """How well each named predictor did."""
+    """How well each named predictor did; the best one with nothing fitted comes first."""
     table = overview(correlations)
+    done = set(correlations["predictor"])
+    told: list[tuple[float, str, str]] = []
     for one in predictors():
-        if one.name not in NAMED or one.name not in set(correlations["predictor"]):
+        if one.name not in NAMED or one.name not in done:
             continue
         of = [table.loc[(measured, one.name)] for measured in ("counted_cost", SCALAR.ns)]
         counted, timed = (f"{row['mean']:.3f} (worst {row['min']:.3f})" for row in of)
         if np.isfinite(of[0]["mean"]):
             with_time = f", scalar time {timed}" if np.isfinite(of[1]["mean"]) else ""
-            yield f"{one.name}: r with counted cost {counted}{with_time}"
+            unfitted = of[0]["mean"] if one.free == "0" else -np.inf
+            told.append((unfitted, one.name, f"r with counted cost {counted}{with_time}"))
+    best = max(told, default=None)
+    if best is not None and np.isfinite(best[0]):
+        told.remove(best)
+        yield f"Predict with {best[1]}, which fits nothing: {best[2]}"
+    for _, name, line in told:
+        yield f"{name}: {line}"
 
 
 def _why(correlations: pd.DataFrame) -> Iterator[str]:

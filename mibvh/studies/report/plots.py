@@ -130,7 +130,7 @@ def _winner_words(record: SceneRecord, best: Winner) -> str:
     if timed is None or not timed.second:
         return str(best)
     if timed.builder == best.builder and timed.sure:
-        return f"{best}; in time by {timed.lead:.1%} ± {timed.error:.1%}"
+        return f"{best}; in time by {timed.margin}"
     return (
         f"{best}; in time {timed.builder if timed.sure else f'{timed.builder} or {timed.second}'}"
     )
