@@ -11,7 +11,7 @@ from mibvh.errors import MibvhError
 #: scene that is generated, and that is loaded; each ray from a camera that rays are made of, and
 #: for each bounce beyond the first; each ray that is traced with counters; each reference of a
 #: tree whose EPO is computed; each reference of a tree that is kept, with what is derived from it;
-#: of the records that kernels read.
+#: of the records that kernels read; each triangle of a scene that is turned beside the first.
 #: Builders state theirs where they are registered.
 BYTES = {
     "generate": 200.0,
@@ -22,6 +22,7 @@ BYTES = {
     "epo": 440.0,
     "tree": 64.0,
     "records": 110.0,
+    "turned": 120.0,
 }
 #: Bytes of what is loaded and compiled on the way through a study: kernels, renderers.
 COMPILED = 3e8

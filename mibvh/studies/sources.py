@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -48,7 +48,7 @@ class Source:
     def given(self) -> Given:
         """Read the files of the trees and rays."""
         return Given(
-            {name: _tree(name, of) for name, of in self.trees.items()},
+            _Trees(self.trees),
             read_rays(self.rays) if isinstance(self.rays, str | os.PathLike) else self.rays,
         )
 
@@ -194,6 +194,22 @@ def _by_scene(what: str, given: Any, names: Sequence[str]) -> dict[str, Any]:
         )
     pairs = zip(names, several, strict=True)
     return {name: one for name, one in pairs if one is not None and one != ""}
+
+
+class _Trees(Mapping[str, Tree]):
+    """Given trees, each read from its file when it is asked for."""
+
+    def __init__(self, given: Mapping[str, Any]) -> None:
+        self._given = given
+
+    def __getitem__(self, name: str) -> Tree:
+        return _tree(name, self._given[name])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._given)
+
+    def __len__(self) -> int:
+        return len(self._given)
 
 
 def _tree(name: str, given: Any) -> Tree:

@@ -9,6 +9,7 @@ float32, and scaling back is exact.
 
 from __future__ import annotations
 
+import mmap
 from typing import Any, Literal
 
 import numpy as np
@@ -55,9 +56,11 @@ class Records:
         (:meth:`mibvh.WideTree.ordered`).
     single : bool
         In the wide layout, whether every leaf is one triangle.
+    seen : UInt32 or None
+        Where there is one, kernels of the binary layout mark in it each row that they read.
     """
 
-    __slots__ = ("layout", "order", "root", "rows", "scale", "single", "wide")
+    __slots__ = ("layout", "order", "root", "rows", "scale", "seen", "single", "wide")
 
     def __init__(
         self,
@@ -74,12 +77,23 @@ class Records:
         self.layout = layout
         self.wide = wide
         self.order = order
+        self.seen: Any = None
         self.single = wide is not None and bool((wide.count[wide.is_leaf] == 1).all())
+
+    @property
+    def size(self) -> int:
+        """Bytes of the rows."""
+        import drjit as dr
+
+        return 4 * dr.width(self.rows)
 
 
 @njit
-def _node_rows(lower, upper, left, first):
-    """Rows of the inner nodes, in the order of the tree's nodes, and each node's code."""
+def _node_rows(lower, upper, left, first, scale, rows):
+    """Write the rows of the inner nodes, in the order of the tree's nodes; return the root's code.
+
+    What is not written is zero before.
+    """
     nodes = len(left)
     inners = (nodes - 1) // 2
     code = np.empty(nodes, np.int32)
@@ -90,7 +104,6 @@ def _node_rows(lower, upper, left, first):
             inner += 1
         else:
             code[n] = ~(inners + first[n])
-    rows = np.zeros((inners, 16), np.float32)
     bits = rows.view(np.int32)
     row = 0
     for n in range(nodes):
@@ -98,25 +111,25 @@ def _node_rows(lower, upper, left, first):
             for c in range(2):
                 child = left[n] + c
                 for k in range(3):
-                    rows[row, 6 * c + k] = lower[child, k]
-                    rows[row, 6 * c + 3 + k] = upper[child, k]
+                    rows[row, 6 * c + k] = lower[child, k] * scale
+                    rows[row, 6 * c + 3 + k] = upper[child, k] * scale
                 bits[row, 12 + c] = code[child]
             row += 1
-    return rows, code[0]
+    return code[0]
 
 
 @njit
-def _triangle_rows(corners, references, last):
-    rows = np.zeros((len(references), 16), np.float32)
+def _triangle_rows(corners, references, last, scale, rows):
+    """Write the rows of the references, which are zero before."""
     bits = rows.view(np.int32)
     e = np.empty((2, 3))
     for i in range(len(references)):
         t = references[i]
         for k in range(3):
             for c in range(3):
-                rows[i, 3 * c + k] = corners[t, c, k]
-            e[0, k] = np.float64(corners[t, 1, k]) - corners[t, 0, k]
-            e[1, k] = np.float64(corners[t, 2, k]) - corners[t, 0, k]
+                rows[i, 3 * c + k] = corners[t, c, k] * scale
+            e[0, k] = np.float64(rows[i, 3 + k]) - rows[i, k]
+            e[1, k] = np.float64(rows[i, 6 + k]) - rows[i, k]
         normal = (
             e[0, 1] * e[1, 2] - e[0, 2] * e[1, 1],
             e[0, 2] * e[1, 0] - e[0, 0] * e[1, 2],
@@ -128,7 +141,6 @@ def _triangle_rows(corners, references, last):
             rows[i, 9 + k] = normal[k] / largest if largest > 0.0 else 0.0
         bits[i, 12] = t
         bits[i, 13] = last[i]
-    return rows
 
 
 def make_records(tree: Tree | WideTree, triangles: Any, layout: Layout = "binary") -> Records:
@@ -157,14 +169,14 @@ def make_records(tree: Tree | WideTree, triangles: Any, layout: Layout = "binary
     if isinstance(tree, WideTree):
         raise MibvhError("a wide tree is traced in the wide style, not in those of binary trees")
     rows, root = binary_rows(tree, triangles)
-    return Records(own_memory(rows), root, float(scale), layout)
+    return Records(in_place(rows), root, float(scale), layout)
 
 
 def _wide_records(wide: WideTree, triangles: Triangles, scale: np.float32) -> Records:
     _check_depth(wide.depth)
-    shapes = _triangle_rows(
-        triangles.corners * scale, wide.references, np.zeros_like(wide.references)
-    )
+    shapes = np.zeros((len(wide.references), ROW), np.float32)
+    none = np.zeros_like(wide.references)
+    _triangle_rows(triangles.corners, wide.references, none, scale, shapes)
     rows, order, root = wide_rows(wide, shapes, scale)
     ordered = None
     if wide.meta.get("ordered"):
@@ -184,12 +196,14 @@ def binary_rows(tree: Tree, triangles: Triangles) -> tuple[F32, int]:
     """
     _check_depth(tree.depth)
     scale = unit_scale(triangles)
-    nodes, root = _node_rows(tree.lower * scale, tree.upper * scale, tree.left, tree.first)
+    inners = (len(tree) - 1) // 2
+    rows = pages_of(inners + len(tree.references))
+    root = _node_rows(tree.lower, tree.upper, tree.left, tree.first, scale, rows[:inners])
     last = np.zeros(len(tree.references), np.int32)
     leaves = tree.is_leaf
     last[tree.first[leaves] + tree.count[leaves] - 1] = 1
-    shapes = _triangle_rows(triangles.corners * scale, tree.references, last)
-    return np.concatenate([nodes, shapes]), int(root)
+    _triangle_rows(triangles.corners, tree.references, last, scale, rows[inners:])
+    return rows, int(root)
 
 
 def _check_depth(depth: int) -> None:
@@ -201,6 +215,24 @@ def unit_scale(triangles: Triangles) -> np.float32:
     """Power of two that brings the largest coordinate to between 1/2 and 1."""
     largest = float(np.abs(triangles.bounds).max())
     return np.float32(2.0 ** -np.frexp(largest)[1] if largest > 0 else 1.0)
+
+
+def pages_of(rows: int) -> F32:
+    """(rows, 16) float32 zeros at the beginning of a page; pages take memory when written to."""
+    memory = mmap.mmap(-1, max(rows, 1) * ROW * 4)
+    return np.frombuffer(memory, np.float32, rows * ROW).reshape(rows, ROW)
+
+
+def in_place(rows: F32) -> Any:
+    """Rows of :func:`pages_of` as a Dr.Jit array: on a processor the same memory, which it reads.
+
+    At the beginning of a page it is aligned, as Dr.Jit's own is (see :func:`own_memory`).
+    """
+    import drjit as dr
+
+    found = mitsuba().Float(rows.ravel())
+    dr.eval(found)
+    return found
 
 
 def own_memory(array: F32) -> Any:

@@ -25,10 +25,17 @@ def new_stack(cull: bool) -> tuple[Any, Any]:
     )
 
 
+def mark(records: Records, row: Any) -> None:
+    """Mark a row as read, if the records have where."""
+    if records.seen is not None:
+        dr.scatter(records.seen, mitsuba().UInt32(1), row)
+
+
 def fetch(records: Records, code: Any) -> Any:
     """Row of an inner node, or of a leaf's triangle: of ``code`` or of ``~code``."""
     mi = mitsuba()
     at = mi.UInt32(code ^ (code >> 31))
+    mark(records, at)
     return dr.gather(mi.ArrayXf, records.rows, at, shape=(ROW, dr.width(code)))
 
 

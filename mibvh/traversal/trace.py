@@ -358,6 +358,12 @@ def _in_order(tree: Tree | WideTree, triangles: Any, child_order: ChildOrder) ->
     return wide.ordered(child_priority(wide, triangles, child_order))
 
 
+def release_records() -> None:
+    """Release the trees and records that :func:`trace` keeps for its next calls."""
+    _cached_records.cache_clear()
+    _in_order.cache_clear()
+
+
 def trace(
     tree: Tree | WideTree,
     triangles: Any,

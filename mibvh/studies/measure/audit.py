@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from mibvh.audit.record import Check
 from mibvh.audit.run import audit_figures, audit_hits, check_tree
 from mibvh.studies.measure.counts import RayCounter
-from mibvh.traversal.trace import Hits
+from mibvh.traversal.trace import Hits, release_records
 from mibvh.tree import Tree
 from mibvh.variant import backend
 from mibvh.wide_tree import WideTree
@@ -52,7 +52,9 @@ class Auditor:
         )
         self._first = self._first or hits
         warps = [] if isinstance(tree, WideTree) else self._warps(tree, hits, values)
-        return Checks([sound, *figures, *traced, *warps])
+        found = Checks([sound, *figures, *traced, *warps])
+        release_records()  # the next tree is another
+        return found
 
     def _warps(self, tree: Tree, hits: Hits, values: dict[str, float]) -> Iterator[Check]:
         """Check that simulated warps of one lane cost what the kernel counts for the same rays.

@@ -129,8 +129,13 @@ def depth_experiment(setting: Setting, report: Reporter) -> DepthResult:
     """Cut the trees of a scene."""
     share = 1 / len(setting.trees)
     found = []
-    for i, (name, tree) in enumerate(setting.trees.items()):
+    for i, name in enumerate(setting.trees):
         report.part(share * i, share, name)("depth", 0.0)
-        piece = f"depth-{key_of(__name__, tree=tree.digest)}"
-        found.append(kept(setting.store, piece, Cuts, functools.partial(cuts, tree)))
+        piece = f"depth-{key_of(__name__, tree=setting.trees.digest(name))}"
+        make = functools.partial(_cuts_of, setting, name)
+        found.append(kept(setting.store, piece, Cuts, make))
     return DepthResult(found)
+
+
+def _cuts_of(setting: Setting, name: str) -> Cuts:
+    return cuts(setting.trees[name])

@@ -18,7 +18,7 @@ class Given:
     Attributes
     ----------
     trees : mapping of str to Tree
-        By the name that they have in tables.
+        By the name that they have in tables; asked for one at a time.
     rays : RaySet or None
         Traced instead of diffuse rays from the scene's cameras.
     """
@@ -34,16 +34,8 @@ class Given:
         MibvhError
             With the first fault.
         """
-        for name, tree in self.trees.items():
-            try:
-                tree.check_matches(triangles)
-            except MibvhError as error:
-                raise MibvhError(f"tree {name} of {triangles.name}: {error}") from None
-            if tree.depth > MAX_DEPTH:
-                raise MibvhError(
-                    f"tree {name} of {triangles.name}: it is {tree.depth} levels deep; the "
-                    f"traversal stack has {MAX_DEPTH}"
-                )
+        for name in self.trees:
+            _check(name, self.trees[name], triangles)
         if self.rays is not None:
             if len(self.rays) == 0:
                 raise MibvhError(f"there are no rays in those given for {triangles.name}")
@@ -58,10 +50,22 @@ class Given:
         """What a reader has to know of them, in sentences."""
         said = [
             f"The tree {name} was given as it is: it has no options and no build time."
-            for name, tree in self.trees.items()
-            if "build_seconds" not in tree.meta
+            for name in self.trees
+            if "build_seconds" not in self.trees[name].meta
         ]
         if self.rays is not None:
             of = self.rays.meta.get("file") or self.rays.meta.get("kind") or "an array"
             said.append(f"The rays were given ({of}); options that make rays had no part in it.")
         return said
+
+
+def _check(name: str, tree: Tree, triangles: Triangles) -> None:
+    try:
+        tree.check_matches(triangles)
+    except MibvhError as error:
+        raise MibvhError(f"tree {name} of {triangles.name}: {error}") from None
+    if tree.depth > MAX_DEPTH:
+        raise MibvhError(
+            f"tree {name} of {triangles.name}: it is {tree.depth} levels deep; the "
+            f"traversal stack has {MAX_DEPTH}"
+        )

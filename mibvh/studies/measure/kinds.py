@@ -22,6 +22,7 @@ from mibvh.studies.measure.trees import counted_rays, judged_tree
 from mibvh.studies.record.options import KINDS, weights
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import Result
+from mibvh.traversal.trace import release_records
 from mibvh.tree import Tree
 from mibvh.variant import backend, mitsuba_traces
 
@@ -119,12 +120,11 @@ def _count(
     counter = RayCounter(setting.scene, some, setting.options.cull)
     share = 1 / len(setting.trees)
     values, audits = [], []
-    for i, (builder, tree) in enumerate(setting.trees.items()):
+    for i, builder in enumerate(setting.trees):
         report.part(share * i, share, builder)("count", 0.0)
-        of_tree = judged_tree(tree, counter.triangles, setting.store).values
-        counts = counted_rays(tree, counter, setting.store).values
-        values.append({**{n: of_tree[n] for n in ("sah", "epo")}, **counts})
-        audits.append(_audited(tree, counter, counts["counted_cost"], setting.store))
+        of_tree, checks = _in_tree(setting.trees[builder], counter, setting.store)
+        values.append(of_tree)
+        audits.append(checks)
     return RayKind(
         name=name,
         rays=len(some),
@@ -135,6 +135,14 @@ def _count(
         values=values,
         audit=audits,
     )
+
+
+def _in_tree(tree: Tree, counter: RayCounter, store: Store) -> tuple[dict[str, float], Checks]:
+    """Count and audit the rays in one tree."""
+    judged = judged_tree(tree, counter.triangles, store).values
+    counts = counted_rays(tree, counter, store).values
+    checks = _audited(tree, counter, counts["counted_cost"], store)
+    return {**{n: judged[n] for n in ("sah", "epo")}, **counts}, checks
 
 
 def _audited(tree: Tree, counter: RayCounter, cost: float, store: Store) -> Checks:
@@ -164,4 +172,5 @@ def _audit(tree: Tree, counter: RayCounter, cost: float) -> Checks:
     ]
     if rays.occlusion and not counter.cull:
         checks += check_any_hit(tree, counter.triangles, rays, hits, closest)
+    release_records()
     return Checks(checks)

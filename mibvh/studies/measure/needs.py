@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from mibvh.builders import get
 from mibvh.memory import BYTES, peak_memory, require_memory, require_references, reset_peak
 from mibvh.rays.make import ray_memory
 from mibvh.scene import Scene
+from mibvh.studies.measure import shelf, times
 from mibvh.studies.measure.given import Given
 from mibvh.studies.measure.trees import TreeSource
 from mibvh.studies.record.options import StudyOptions
+
+#: Share of large records that the rays read: .55 to .8 of three scenes with one ray for ten to
+#: fifty triangles.
+_READ = 0.75
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,26 +49,39 @@ def predicted_memory(
     views = options.viewpoints or len(scene.sensors)
     primary = views * options.width * options.height * options.samples
     count = primary * options.bounces if given.rays is None else len(given.rays)
-    held = BYTES["tree"] * sum(tree.references for tree in trees)
-    largest = max((tree.references for tree in trees), default=0.0)
+    references = [tree.references for tree in trees]
+    largest = max(references, default=0.0)
+    # Beside the tree at hand, as many as there is room for.
+    held = BYTES["tree"] * largest + min(BYTES["tree"] * sum(references), shelf.ROOM)
+    whole = BYTES["records"] * largest
     traced = BYTES["trace"] * count
-    return {
+    work = max(
+        max((tree.build for tree in trees), default=0.0),
+        BYTES["epo"] * largest,
+        whole + traced,
+    )
+    needs = {
         "rays": 0.0 if given.rays is not None else ray_memory(primary, options.bounces - 1),
-        "trees": held
-        + max(
-            max((tree.build for tree in trees), default=0.0),
-            BYTES["epo"] * largest,
-            BYTES["records"] * largest + traced,
-        ),
-        # Trees are timed in turn: the records of all are in memory.
-        "stopwatch": held + BYTES["records"] * sum(tree.references for tree in trees) + traced,
+        "trees": held + work,
+        "stopwatch": held + whole + _records([*references, references[0], references[-1]]) + traced,
     }
+    if "rotation" in options.experiments:
+        turned = BYTES["turned"] * len(scene.triangles)
+        timed = whole + _records([*references, *references]) + 2 * traced
+        needs["rotation"] = 2 * held + turned + max(work, timed)
+    return needs
+
+
+def _records(references: Sequence[float]) -> float:
+    """Bytes of the records of trees that are timed in turn: those of all are in memory."""
+    needed = BYTES["records"] * sum(references)
+    return needed if needed <= times.LARGE else _READ * needed
 
 
 def _of_tree(source: TreeSource, scene: Scene) -> _TreeNeeds:
     triangles = len(scene.triangles)
-    if source.tree is not None:
-        return _TreeNeeds(0.0, len(source.tree.references))
+    if source.given is not None:
+        return _TreeNeeds(0.0, len(source.given().references))
     assert source.chosen is not None
     entry = get(source.chosen.builder)
     options = entry.options(**dict(source.chosen.options))

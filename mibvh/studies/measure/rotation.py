@@ -99,16 +99,17 @@ def rotation_experiment(setting: Setting, report: Reporter) -> RotationResult:
     options, store = setting.options, setting.store
     scene, rays = rotated(setting.scene, setting.rays)
     # A tree that was given cannot be built anew.
-    sources = {name: source for name, source in setting.sources.items() if source.tree is None}
+    sources = {name: source for name, source in setting.sources.items() if source.given is None}
     if not sources:
         return _nothing(scene)
     counter = RayCounter(scene, rays, options.cull, WarpRules(**options.warps()))
     trees, rows = study_trees(sources, counter, store, report.part(0.0, 1.1))
-    before = Frame(setting.scene, setting.rays, [setting.trees[name] for name in trees])
-    after = Frame(scene, rays, list(trees.values()))
+    names = list(trees)
+    before = Frame(setting.scene, setting.rays, setting.trees, names)
+    after = Frame(scene, rays, trees, names)
     keys = {
-        "before": [tree.digest for tree in before.trees],
-        "after": [tree.digest for tree in after.trees],
+        "before": [setting.trees.digest(name) for name in names],
+        "after": [trees.digest(name) for name in names],
         "rays": [setting.rays.digest, rays.digest],
     }
     times_key = key_of(
@@ -148,6 +149,7 @@ def _same_hits(before: Frame, after: Frame) -> _SameHits:
     hits = []
     for frame in (before, after):
         tracer = Tracer(frame.rays, float(unit_scale(frame.scene.triangles)))
-        outputs, _ = tracer.run(make_records(frame.trees[0], frame.scene.triangles))
+        tree = frame.trees[frame.names[0]]
+        outputs, _ = tracer.run(make_records(tree, frame.scene.triangles))
         hits.append(tracer.fetch(outputs.triangle))
     return _SameHits(float((hits[0] == hits[1]).mean()))

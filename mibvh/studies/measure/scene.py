@@ -118,6 +118,7 @@ def _predict(
     counter = RayCounter(scene, rays, options.cull, WarpRules(**options.warps()))
     with peaks.of("trees"):
         trees, rows = study_trees(sources, counter, store, report)
+    release_memory()
     own = given.rays is not None
     setting = Setting(scene, rays, trees, options, machine, store, sources, own_rays=own)
     with peaks.of("stopwatch"):

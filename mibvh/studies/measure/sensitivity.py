@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 
 from mibvh.builders import Context, get
 from mibvh.builders.finish import finish
@@ -83,13 +84,13 @@ def sensitivity_experiment(setting: Setting, report: Reporter) -> SensitivityRes
     options, trees = setting.options, setting.trees
     share = 0.7 / len(trees)
     leaf_sizes = []
-    for i, (name, tree) in enumerate(trees.items()):
+    for i, name in enumerate(trees):
         report.part(share * i, share, name)("leaf sizes", 0.0)
         piece = key_of(
             __name__,
             "mibvh.builders.registry",
             builder=name,
-            tree=tree.digest,
+            tree=trees.digest(name),
             rays=setting.rays.digest,
             cull=options.cull,
             sizes=LEAF_SIZES,
@@ -153,12 +154,12 @@ def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:
         return [[] for _ in trees]
     counter = _LazyTracer(scene, rays, options.cull)
     costs = []
-    for i, (name, tree) in enumerate(trees.items()):
+    for i, name in enumerate(trees):
         report.part(0.2 + 0.8 * i / len(trees), 0.8 / len(trees), name)("count", 0.0)
         code = "mibvh.studies.measure.counts"
-        piece = f"deeper-{key_of(code, tree=tree.digest, rays=rays.digest, cull=options.cull)}"
-        make = functools.partial(counter.count, tree)
-        costs.append(kept(setting.store, piece, _Costs, make).costs)
+        key = key_of(code, tree=trees.digest(name), rays=rays.digest, cull=options.cull)
+        make = functools.partial(counter.count, trees, name)
+        costs.append(kept(setting.store, f"deeper-{key}", _Costs, make).costs)
     return costs
 
 
@@ -172,6 +173,6 @@ class _LazyTracer:
     def _tracer(self) -> Tracer:
         return Tracer(self._rays, float(unit_scale(self._scene.triangles)), cull=self._cull)
 
-    def count(self, tree: Tree) -> _Costs:
-        costs = counted_costs(self._tracer, tree, self._scene.triangles)
+    def count(self, trees: Mapping[str, Tree], name: str) -> _Costs:
+        costs = counted_costs(self._tracer, trees[name], self._scene.triangles)
         return _Costs(costs_by_origin(self._rays, costs))

@@ -7,10 +7,10 @@ from typing import Any
 
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
+from mibvh.studies.measure.shelf import Shelf
 from mibvh.studies.measure.store import Store
 from mibvh.studies.measure.trees import TreeSource
 from mibvh.studies.record.options import StudyOptions
-from mibvh.tree import Tree
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Setting:
     ----------
     scene : Scene
     rays : RaySet
-    trees : dict of str to Tree
+    trees : Shelf
         By name: those of ``options.builders`` in their order, then those that were given.
     options : StudyOptions
     machine : dict
@@ -35,7 +35,7 @@ class Setting:
 
     scene: Scene
     rays: RaySet
-    trees: dict[str, Tree]
+    trees: Shelf
     options: StudyOptions
     machine: dict[str, Any]
     store: Store

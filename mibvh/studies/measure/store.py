@@ -6,6 +6,7 @@ touches and nothing else. Pieces are written whole or not at all; a damaged one 
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import time
@@ -84,7 +85,7 @@ class Store:
             self._count(kind.__name__.lower(), time.perf_counter() - started, made=True)
             return value
         name = f"{kind.__name__.lower()}-{key}"
-        path = self.folder / f"{name}.npz"
+        path = self._path(kind, key)
         if path.exists():
             try:
                 value = kind.load(path, key=key)
@@ -101,9 +102,25 @@ class Store:
         self._count(name, seconds, made=True)
         return value
 
+    def again(self, kind: type[T], key: str, value: T) -> Callable[[], T]:
+        """Keep a tree or ray set if it is not here, and return what reads it; that is not counted.
+
+        Raises
+        ------
+        MibvhError
+            When it is read, if it was removed or damaged meanwhile.
+        """
+        path = self._path(kind, key)
+        if not path.exists():
+            value.save(path, key=key)
+        return functools.partial(kind.load, path, key)
+
     def has(self, kind: type[Tree] | type[RaySet], key: str | None) -> bool:
         """Whether a tree or ray set is here; it may turn out to be damaged."""
-        return key is not None and (self.folder / f"{kind.__name__.lower()}-{key}.npz").exists()
+        return key is not None and self._path(kind, key).exists()
+
+    def _path(self, kind: type[Tree] | type[RaySet], key: str) -> Path:
+        return self.folder / f"{kind.__name__.lower()}-{key}.npz"
 
     def kept(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """A JSON piece: read if it is here and sound, otherwise made and kept."""

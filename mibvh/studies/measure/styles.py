@@ -7,7 +7,6 @@ experiment asks whether that tells which tree gains from packets, and which lose
 from __future__ import annotations
 
 import dataclasses
-import functools
 
 import numpy as np
 
@@ -113,7 +112,7 @@ def _run(setting: Setting, style: str, report: Reporter) -> StyleRun:
     }
     report(f"simulate {style}", 0.9)
     rays = packet_rays(setting.rays, style)
-    costs = [_kept_costs(setting, tree, rays, style) for tree in setting.trees.values()]
+    costs = [_kept_costs(setting, name, rays, style) for name in setting.trees]
     return StyleRun(
         style,
         len(rays),
@@ -141,11 +140,11 @@ def packet_rays(rays: RaySet, style: str) -> RaySet:
     return rays if len(places) == len(rays) else rays.select(places)
 
 
-def _kept_costs(setting: Setting, tree: Tree, rays: RaySet, style: str) -> _Costs:
+def _kept_costs(setting: Setting, name: str, rays: RaySet, style: str) -> _Costs:
     triangles = setting.scene.triangles
     key = key_of(
         __name__,
-        tree=tree.digest,
+        tree=setting.trees.digest(name),
         digest=triangles.digest,
         rays=rays.digest,
         style=style,
@@ -153,7 +152,10 @@ def _kept_costs(setting: Setting, tree: Tree, rays: RaySet, style: str) -> _Cost
         cull=setting.options.cull,
         backend=backend(),
     )
-    make = functools.partial(packet_costs, tree, triangles, rays, style)
+
+    def make() -> _Costs:
+        return packet_costs(setting.trees[name], triangles, rays, style)
+
     return kept(setting.store, f"styles-{key}", _Costs, make)
 
 

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -22,6 +22,7 @@ from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import Timing
 from mibvh.traversal.records import Records, make_records, unit_scale
 from mibvh.traversal.trace import LaunchSeconds, Tracer
+from mibvh.traversal.trimmed import trimmed
 from mibvh.tree import Tree
 from mibvh.variant import backend
 
@@ -33,6 +34,8 @@ _MOST_PORTIONS = 8
 #: How often the rays of a small set may be repeated to fill a launch. A set that needs more tells
 #: how fast these few rays are, and not how fast the tree is. A GPU is not even full of such a set.
 _MOST_COPIES = {"llvm": 256, "cuda": 4096}
+#: Bytes of all records together from which on only what the rays read of them is in memory.
+LARGE = 1e9
 
 Launch = Callable[[int], LaunchSeconds]
 
@@ -59,15 +62,26 @@ class TreeTimes:
 
 @dataclasses.dataclass(frozen=True)
 class Frame:
-    """Trees of a scene, and the rays that they are timed with."""
+    """Trees of a scene, and the rays that they are timed with.
+
+    Attributes
+    ----------
+    scene : Scene
+    rays : RaySet
+    trees : mapping of str to Tree
+        Asked for one at a time.
+    names : sequence of str
+        Of the trees that are timed, in order.
+    """
 
     scene: Scene
     rays: RaySet
-    trees: Sequence[Tree]
+    trees: Mapping[str, Tree]
+    names: Sequence[str]
 
 
 def times(
-    trees: list[Tree],
+    trees: Mapping[str, Tree],
     scene: Scene,
     rays: RaySet,
     lanes: Lanes,
@@ -77,7 +91,8 @@ def times(
 ) -> TreeTimes:
     """Time all trees of a scene, the first and the last a second time under other names."""
     # A tree's records are made anew for its second name: they lie elsewhere in memory.
-    frame = Frame(scene, rays, [*trees, trees[0], trees[-1]])
+    names = list(trees)
+    frame = Frame(scene, rays, trees, [*names, names[0], names[-1]])
     count = len(trees)
     same = [(0, count), (count - 1, count + 1)]
     found = time_frames([frame], lanes, options, report, same, style)
@@ -91,10 +106,10 @@ def times(
 
 def kept_times(setting: Setting, lanes: Lanes, style: str, report: Reporter) -> TreeTimes:
     """Times of a scene's trees: from the study's store, or measured and kept."""
-    options, trees = setting.options, list(setting.trees.values())
+    options, trees = setting.options, setting.trees
     key = key_of(
         __name__,
-        trees=[tree.digest for tree in trees],
+        trees=[trees.digest(name) for name in trees],
         rays=setting.rays.digest,
         lanes=lanes,
         style=style,
@@ -133,15 +148,21 @@ def time_frames(
     report(stage, 0.0)
     chosen = [timed_rays(frame.rays, lanes, options) for frame in frames]
     count = len(chosen[0])
-    copies, portions = _sizes(frames[0], chosen[0], lanes, options, style)
+    trees = sum(len(frame.names) for frame in frames)
+    prepared = []
+    for frame, some in zip(frames, chosen, strict=True):
+        tracer = _tracers(frame.scene, some, 1, lanes, options, style)[0]
+        prepared.append([_prepared(frame, name, tracer, trees) for name in frame.names])
+    shortest = min(seconds for _, seconds in prepared[0])
+    copies, portions = _sizes(shortest, count, lanes)
     if copies > _MOST_COPIES[backend()]:
-        none = [math.nan] * sum(len(frame.trees) for frame in frames)
+        none = [math.nan] * trees
         timing = Timing(rounds=0, complete=False, rays=count, portions=0)
         return TreeTimes(none, none, dict.fromkeys(CLOCKS, none), timing)
     launches: list[Launch] = []
-    for frame, some in zip(frames, chosen, strict=True):
+    for frame, some, found in zip(frames, chosen, prepared, strict=True):
         tracers = _tracers(frame.scene, repeated(some, copies), portions, lanes, options, style)
-        launches += [_launch_of(tracers, tree, frame.scene) for tree in frame.trees]
+        launches += [functools.partial(_launch, tracers, records) for records, _ in found]
     timings = measure(
         launches,
         portions=portions,
@@ -173,22 +194,25 @@ def _per_ray(timings: Timings, rays: int, copies: int, portions: int) -> TreeTim
     )
 
 
-def _sizes(
-    frame: Frame, rays: RaySet, lanes: Lanes, options: StudyOptions, style: str
-) -> tuple[int, int]:
+def _prepared(frame: Frame, name: str, tracer: Tracer, trees: int) -> tuple[Records, float]:
+    """Records of one of so many trees, and the seconds that a launch of all rays takes."""
+    records = make_records(frame.trees[name], frame.scene.triangles, tracer.layout)
+    tracer.run(records)  # may compile
+    seconds = tracer.run(records)[1].kernel
+    if records.layout == "binary" and backend() == "llvm" and trees * records.size > LARGE:
+        records = trimmed(records, tracer)
+    return records, seconds
+
+
+def _sizes(shortest: float, rays: int, lanes: Lanes) -> tuple[int, int]:
     """How often the rays are repeated, and into how many portions they are split.
 
-    The fastest tree decides: each of its launches is to be long enough for the stopwatch.
+    The fastest tree decides: each of its launches is to be long enough for the stopwatch. All rays
+    take it the shortest seconds.
     """
-    whole = _tracers(frame.scene, rays, 1, lanes, options, style)
-    shortest = math.inf
-    for tree in frame.trees:
-        launch = _launch_of(whole, tree, frame.scene)
-        launch(0)  # may compile
-        shortest = min(shortest, launch(0).kernel)
     if shortest < SHORTEST:
         return math.ceil(SHORTEST / max(shortest, 1e-9)), 1
-    most = min(len(rays) // _PORTION[lanes], int(shortest / SHORTEST), _MOST_PORTIONS)
+    most = min(rays // _PORTION[lanes], int(shortest / SHORTEST), _MOST_PORTIONS)
     return 1, max(most, 1)
 
 
@@ -213,12 +237,6 @@ def _tracers(
         Tracer(rays.select(slice(begin, end)), scale, lanes, style=style, cull=options.cull)
         for begin, end in itertools.pairwise(ends)
     ]
-
-
-def _launch_of(tracers: list[Tracer], tree: Tree, scene: Scene) -> Launch:
-    """Return what traces a portion of the rays through a tree and tells what that took."""
-    records = make_records(tree, scene.triangles, tracers[0].layout)
-    return functools.partial(_launch, tracers, records)
 
 
 def _launch(tracers: list[Tracer], records: Records, portion: int) -> LaunchSeconds:

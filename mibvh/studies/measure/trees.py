@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from mibvh.studies.measure.audit import Auditor, Checks
 from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import LINES, Counts, RayCounter
 from mibvh.studies.measure.pieces import kept
+from mibvh.studies.measure.shelf import Shelf
 from mibvh.studies.measure.store import Store, key_of
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import TreeRow
@@ -41,13 +42,13 @@ class TreeSource:
         What the tree is called in tables.
     chosen : Chosen or None
         The registered builder that makes it, with its options.
-    tree : Tree or None
-        A finished tree, which is kept as it is.
+    given : callable or None
+        Returns a finished tree, which is kept as it is.
     """
 
     name: str
     chosen: Chosen | None = None
-    tree: Tree | None = None
+    given: Callable[[], Tree] | None = None
 
     @classmethod
     def of(cls, chosen: Chosen) -> TreeSource:
@@ -105,7 +106,7 @@ class TreeSource:
 def sources_of(builders: Sequence[str], trees: Mapping[str, Tree]) -> dict[str, TreeSource]:
     """Return where the trees of a scene come from, by name: builders first, then given trees."""
     made = [TreeSource.of(chosen) for chosen in parse_all(builders)]
-    given = [TreeSource(name, tree=tree) for name, tree in trees.items()]
+    given = [TreeSource(n, given=functools.partial(trees.__getitem__, n)) for n in trees]
     return {source.name: source for source in (*made, *given)}
 
 
@@ -130,53 +131,61 @@ class TreeFigures:
 
 def study_trees(
     sources: Mapping[str, TreeSource], counter: RayCounter, store: Store, report: Reporter
-) -> tuple[dict[str, Tree], list[TreeRow]]:
+) -> tuple[Shelf, list[TreeRow]]:
     """Build, judge, count and audit the trees of a scene.
 
     Trees that others start from are built once.
 
     Returns
     -------
-    trees : dict of str to Tree
+    trees : Shelf
     rows : list of TreeRow
         Without times.
     """
     auditor = Auditor(counter)
-    trees: dict[str, Tree] = {}
+    trees = Shelf()
     rows: list[TreeRow] = []
     share = 0.5 / max(len(sources), 1)
     waiting = [source.starts() for source in sources.values()]
-    with shared_drafts(counter.triangles.digest) as drafts:
+    with shared_drafts(counter.triangles.digest, store.folder) as drafts:
         for i, (name, source) in enumerate(sources.items()):
             part = report.part(0.02 + share * i, share, name)
             drafts.want(frozenset().union(*waiting[i:]))
-            trees[name], row = study_tree(source, counter, auditor, store, part)
-            rows.append(row)
+            trees.tidy()
+            _shelve(source, counter.scene, trees, store, part)
+            rows.append(study_tree(source, trees[name], counter, auditor, store, part))
     return trees, rows
+
+
+def _shelve(source: TreeSource, scene: Scene, trees: Shelf, store: Store, report: Reporter) -> None:
+    """Put a tree on the shelf: a given one, one that the store has, or one that is built now."""
+    key = source.key(scene)
+    report(_first_stage(source, store, key), 0.0)
+    if source.given is not None:
+        again = source.given
+        tree = again()
+    else:
+        tree = store.array(Tree, key, functools.partial(source.make, scene, report))
+        again = store.again(Tree, key or key_of(tree=tree.digest), tree)
+    trees.put(source.name, judged_alike(tree), lambda: judged_alike(again()))
 
 
 def study_tree(
     source: TreeSource,
+    tree: Tree,
     counter: RayCounter,
     auditor: Auditor,
     store: Store,
     report: Reporter,
-) -> tuple[Tree, TreeRow]:
-    """Build, judge, count and audit one tree.
+) -> TreeRow:
+    """Judge, count and audit one tree.
 
     Returns
     -------
-    tree : Tree
-    row : TreeRow
+    TreeRow
         Without times.
     """
     triangles = counter.triangles
-    key = source.key(counter.scene)
-    report(_first_stage(source, store, key), 0.0)
-    made = source.tree
-    if made is None:
-        made = store.array(Tree, key, functools.partial(source.make, counter.scene, report))
-    tree = judged_alike(made)
     report("metrics", 0.5)
     judged = judged_tree(tree, triangles, store)
     report("count", 0.8)
@@ -199,7 +208,7 @@ def study_tree(
         **audited,
     )
     audit = functools.partial(auditor, tree, values)
-    row = TreeRow(
+    return TreeRow(
         builder=source.name,
         options=tree.meta.get("options", {}),
         values=values | {"build_seconds": tree.meta.get("build_seconds", math.nan)},
@@ -211,7 +220,6 @@ def study_tree(
         build_report=tree.meta.get("report", {}),
         audit=kept(store, f"audit-{audit_key}", Checks, audit).checks,
     )
-    return tree, row
 
 
 def judged_tree(tree: Tree, triangles: Triangles, store: Store) -> TreeFigures:
@@ -240,7 +248,7 @@ def counted_rays(tree: Tree, counter: RayCounter, store: Store) -> Counts:
 
 
 def _first_stage(source: TreeSource, store: Store, key: str | None) -> str:
-    if source.tree is not None:
+    if source.given is not None:
         return "given tree"
     return "cached tree" if store.has(Tree, key) else "build"
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -109,16 +109,28 @@ def width_experiment(setting: Setting, report: Reporter) -> WidthResult:
     audited = Auditor(counter)
     share = 1 / len(setting.trees)
     found = []
-    for i, (name, tree) in enumerate(setting.trees.items()):
+    for i, name in enumerate(setting.trees):
         part = report.part(share * i, share, name)
-        part("metrics", 0.0)
-        of = _Collapsed(tree, counter)
-        rows = [_binary(tree, counter, setting.store)]
-        for place, width in enumerate(widths[1:]):
-            part("count", place / len(widths))
-            rows.append(_row(of, width, audited, setting.store))
-        found.append(rows)
+        found.append(_rows(setting.trees[name], widths, counter, audited, setting.store, part))
     return WidthResult(widths, found)
+
+
+def _rows(
+    tree: Tree,
+    widths: Sequence[int],
+    counter: RayCounter,
+    audited: Auditor,
+    store: Store,
+    report: Reporter,
+) -> list[WideRow]:
+    """A tree at every width."""
+    report("metrics", 0.0)
+    of = _Collapsed(tree, counter)
+    rows = [_binary(tree, counter, store)]
+    for place, width in enumerate(widths[1:]):
+        report("count", place / len(widths))
+        rows.append(_row(of, width, audited, store))
+    return rows
 
 
 def _binary(tree: Tree, counter: RayCounter, store: Store) -> WideRow:
