@@ -185,11 +185,15 @@ def binary_rows(tree: Tree, triangles: Triangles) -> tuple[F32, int]:
     _check_depth(tree.depth)
     scale = unit_scale(triangles)
     nodes, root = _node_rows(tree.lower * scale, tree.upper * scale, tree.left, tree.first)
+    return np.concatenate([nodes, leaf_rows(tree, triangles, scale)]), int(root)
+
+
+def leaf_rows(tree: Tree | WideTree, triangles: Triangles, scale: np.float32) -> F32:
+    """Rows of the binary layout for a tree's references, by the tree's own places."""
     last = np.zeros(len(tree.references), np.int32)
     leaves = tree.is_leaf
     last[tree.first[leaves] + tree.count[leaves] - 1] = 1
-    shapes = _triangle_rows(triangles.corners * scale, tree.references, last)
-    return np.concatenate([nodes, shapes]), int(root)
+    return _triangle_rows(triangles.corners * scale, tree.references, last)
 
 
 def _check_depth(depth: int) -> None:
