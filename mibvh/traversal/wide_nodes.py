@@ -51,11 +51,13 @@ def wide_nodes(tree: WideTree | None, scale: np.float32, any_hit: bool) -> WideN
         return WideNodes(boxes, boxes, *(numbers,) * 4, False, 0, network)
     stored = any_hit and bool(tree.meta.get("ordered"))
     lower, upper = tree.lower * scale, tree.upper * scale
-    numbers = (np.array(c) for c in (tree.child, tree.children, tree.first, tree.count))
     return WideNodes(
         lower,
         upper,
-        *numbers,
+        tree.child.copy(),
+        tree.children.copy(),
+        tree.first.copy(),
+        tree.count.copy(),
         tree.quantised,
         int(finest_step(lower[0], upper[0])),
         np.array([] if stored else NETWORKS[tree.width], np.int64).reshape(-1, 2),
