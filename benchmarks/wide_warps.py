@@ -16,7 +16,7 @@ import json
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 from markdown_tables import table
@@ -24,7 +24,7 @@ from wide import WIDTHS, Given, SceneFigures, fitted, geometric_mean, measure_fi
 
 import mibvh
 from mibvh.builders import names
-from mibvh.collapsing import collapse
+from mibvh.collapsing import collapse, unfold
 from mibvh.files import write_text
 from mibvh.metrics.predictor import finite_ray_cost, pearson
 from mibvh.studies.record.serialise import from_json, to_json
@@ -35,6 +35,10 @@ LANES = 32
 STYLES = ("single", "persistent")
 #: Costs of a step of nodes with a lane per child, beside which its order is held.
 OTHER_COSTS = (0.6, 2.4)
+
+
+#: Marks the figures of trees with leaves that fill a step.
+LEAVES = "leaves"
 
 
 class Way(NamedTuple):
@@ -50,7 +54,7 @@ class Way(NamedTuple):
         return " ".join(map(str, self))
 
 
-WAYS = [Way(s, w, lane) for s in STYLES for w in WIDTHS for lane in ("ray", "child")]
+WAYS = [Way(s, w, lane) for s in STYLES for w in WIDTHS for lane in get_args(LanePer)]
 
 
 @dataclasses.dataclass
@@ -122,6 +126,20 @@ def measure(given: Given) -> InWarps:
         measure_figures(figures, builder, tree, triangles, rays)
         trees = {width: collapse(tree, width) for width in WIDTHS}
         found.issued[builder] = {way.key: _issued(trees[way.width], given, way) for way in WAYS}
+        found.issued[builder] |= larger_leaves(tree, given)
+    return found
+
+
+def larger_leaves(tree: mibvh.Tree, given: Given) -> dict[str, Issued]:
+    """What warps issue where a leaf of as many triangles as there are children is one step."""
+    single = unfold(tree, given.scene.triangles)
+    found = {}
+    for width in WIDTHS[1:]:
+        # A step of nodes against a triangle's share of a step; all boxes are tested at once.
+        wide = collapse(single, width, max_leaf=width, c_inner=1.2 * width, c_box=0.0)
+        for lane_per in get_args(LanePer):
+            way = Way("single", width, lane_per)
+            found[f"{way.key} {LEAVES}"] = _issued(wide, given, way)
     return found
 
 
@@ -152,6 +170,7 @@ def tables(scenes: Sequence[InWarps]) -> Iterable[str]:
         yield from _modes(style, scenes)
         yield from _predictors(style, scenes)
         yield from _builders(style, scenes)
+    yield from _leaves(scenes)
 
 
 def _modes(style: str, scenes: Sequence[InWarps]) -> Iterable[str]:
@@ -235,6 +254,31 @@ def _builders(style: str, scenes: Sequence[InWarps]) -> Iterable[str]:
         f"`{style}`: cost over that of the scene's cheapest tree (geometric mean), and on how many "
         "scenes it is the cheapest",
         heads,
+        rows,
+    )
+
+
+def _leaves(scenes: Sequence[InWarps]) -> Iterable[str]:
+    """Leaves that fill a step, over leaves of least SAH."""
+    rows = []
+    for scene in scenes:
+        row = [scene.figures.name]
+        for width in WIDTHS[1:]:
+            for lane_per in get_args(LanePer):
+                key = Way("single", width, lane_per).key
+                over = [
+                    of[f"{key} {LEAVES}"].cost() / of[key].cost() for of in scene.issued.values()
+                ]
+                row.append(f"{geometric_mean(over):.3f} ({min(over):.3f} to {max(over):.3f})")
+        rows.append(row)
+    heads = [
+        f"{width} children, lane per {lane}" for width in WIDTHS[1:] for lane in ("ray", "child")
+    ]
+    yield from table(
+        "`single`: leaves of up to as many triangles as children, where a step of nodes costs 1.2 "
+        "and a triangle its share of a step: cost over that of the collapse above (geometric mean, "
+        "least and most over the trees)",
+        ["scene", *heads],
         rows,
     )
 
