@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markdown_tables import table
 
 import mibvh
 from mibvh.files import write_text
@@ -175,13 +176,13 @@ def tables(scenes: Sequence[SceneKinds]) -> Iterable[str]:
     """Lines of Markdown."""
     yield f"mibvh {mibvh.__version__}; {len(scenes)} scenes; costs are counted, not timed."
     yield ""
-    yield from _table(
+    yield from table(
         "Pearson's r with counted cost over the nine trees, mean / least over the scenes",
         ("rays", "scenes", "hit", "s", *PREDICTORS),
         (_over_scenes(kind, scenes) for kind in (*KINDS, "mixed")),
     )
     for kind in (*KINDS, "mixed"):
-        yield from _table(
+        yield from table(
             f"{kind}: r, alpha, level (predicted over counted cost), and the trees",
             (
                 "scene",
@@ -199,22 +200,12 @@ def tables(scenes: Sequence[SceneKinds]) -> Iterable[str]:
             ),
             (_of_scene(scene, kind) for scene in scenes if kind in scene.kinds),
         )
-    yield from _table(
+    yield from table(
         "Mean rank of each builder's tree by counted cost (1: the cheapest), and on how many "
         "scenes it is the first",
         ("builder", *(*KINDS, "mixed")),
         (_ranks(place, builder, scenes) for place, builder in enumerate(BUILDERS)),
     )
-
-
-def _table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterable[str]:
-    yield f"**{title}**"
-    yield ""
-    yield f"| {' | '.join(heads)} |"
-    yield f"|---|{'---:|' * (len(heads) - 1)}"
-    for row in rows:
-        yield f"| {' | '.join(row)} |"
-    yield ""
 
 
 def _r(scene: SceneKinds, kind: str) -> tuple[list[float], float, float]:

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import TypeVar, get_args
 
 import numpy as np
+from markdown_tables import table
 
 import mibvh
 from mibvh.builders import names
@@ -148,21 +149,42 @@ def together(scenes: Sequence[SceneFigures]) -> list[SceneFigures]:
     return list(found.values())
 
 
+@dataclasses.dataclass
+class Given:
+    """A scene, its rays, and the folder where its trees may be."""
+
+    name: str
+    scene: mibvh.Scene
+    rays: mibvh.RaySet
+    folder: Path | None
+
+    @classmethod
+    def of(cls, source: str, folder: Path | None, ray_file: str) -> Given:
+        """Load a scene and its rays, or make them."""
+        scene = mibvh.load(source)
+        path = Path(source)
+        name = path.parent.name if path.name == "scene.xml" else path.stem
+        kept = folder / name if folder else None
+        rays = _kept(kept, ray_file, mibvh.RaySet.load) or mibvh.diffuse_rays(
+            scene, width=160, height=120, samples=1
+        )
+        return cls(name, scene, rays, kept)
+
+    def tree(self, builder: str) -> mibvh.Tree:
+        """Load a builder's tree, or build it."""
+        return _kept(self.folder, builder, mibvh.Tree.load) or mibvh.build(self.scene, builder)
+
+
 def measure(
     source: str, folder: Path | None, ray_file: str, builders: Sequence[str], only_figures: bool
 ) -> SceneFigures:
     """All trees of a scene at all widths."""
-    scene = mibvh.load(source)
-    path = Path(source)
-    name = path.parent.name if path.name == "scene.xml" else path.stem
-    kept = folder / name if folder else None
-    rays = _kept(kept, ray_file, mibvh.RaySet.load) or mibvh.diffuse_rays(
-        scene, width=160, height=120, samples=1
-    )
-    result = SceneFigures(name, len(scene.triangles), len(rays), 0.0, {}, {}, {}, {}, {})
+    given = Given.of(source, folder, ray_file)
+    scene, rays = given.scene, given.rays
+    result = SceneFigures(given.name, len(scene.triangles), len(rays), 0.0, {}, {}, {}, {}, {})
     for builder in builders:
-        tree = _kept(kept, builder, mibvh.Tree.load) or mibvh.build(scene, builder)
-        figures = _measure_figures(result, builder, tree, scene.triangles, rays)
+        tree = given.tree(builder)
+        figures = measure_figures(result, builder, tree, scene.triangles, rays)
         if not only_figures:
             _measure_tree(result, builder, tree, figures, scene.triangles, rays)
     return result
@@ -186,7 +208,7 @@ def _traced(
     return mibvh.trace(wide, triangles, rays, style="wide", any_hit=any_hit, repeats=1)
 
 
-def _measure_figures(
+def measure_figures(
     result: SceneFigures,
     builder: str,
     tree: mibvh.Tree,
@@ -313,17 +335,7 @@ def tables(scenes: Sequence[SceneFigures]) -> Iterable[str]:
         yield from _orders(whole)
 
 
-def _table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterable[str]:
-    yield f"**{title}**"
-    yield ""
-    yield f"| {' | '.join(heads)} |"
-    yield f"|---|{'---:|' * (len(heads) - 1)}"
-    for row in rows:
-        yield f"| {' | '.join(row)} |"
-    yield ""
-
-
-def _fitted(sah: np.ndarray, epo: np.ndarray, cost: np.ndarray) -> tuple[float, float]:
+def fitted(sah: np.ndarray, epo: np.ndarray, cost: np.ndarray) -> tuple[float, float]:
     """Alpha fitted to a cost, and r of the predictor with it."""
     alpha = fit_alpha(sah, epo, cost)
     return alpha, pearson(predict(sah, epo, alpha), cost)
@@ -343,7 +355,7 @@ def _trial(scenes: Sequence[SceneFigures]) -> Iterable[str]:
     for scene in scenes:
         sah, epo, binary = (scene.column(2, name) for name in ("sah", "epo", "cost"))
         wide = np.array(list(scene.trial.values()))
-        alphas, r = zip(*(_fitted(sah, epo, cost) for cost in (binary, wide)), strict=True)
+        alphas, r = zip(*(fitted(sah, epo, cost) for cost in (binary, wide)), strict=True)
         values.append(
             (pearson(sah, binary), pearson(sah, wide), *r, *alphas, pearson(binary, wide))
         )
@@ -362,7 +374,7 @@ def _trial(scenes: Sequence[SceneFigures]) -> Iterable[str]:
         'Binary SAH and EPO against the cost of `style="wide"` '
         f"({TRIAL_NODE} per node of eight, {TRIAL_TRIANGLE} per triangle)"
     )
-    yield from _table(title, heads, [*rows, _means(values, _r)])
+    yield from table(title, heads, [*rows, _means(values, _r)])
 
 
 def _predictors(scenes: Sequence[SceneFigures]) -> Iterable[str]:
@@ -375,7 +387,7 @@ def _predictors(scenes: Sequence[SceneFigures]) -> Iterable[str]:
             sah, epo, query, cost = (
                 scene.column(width, name) for name in ("sah", "epo", "query", "cost")
             )
-            alpha, r = _fitted(sah, epo, cost)
+            alpha, r = fitted(sah, epo, cost)
             finite = finite_ray_cost(sah, query, scene.ratio)
             per_width.append((pearson(sah, cost), r, pearson(finite, cost), alpha))
         for quantity in zip(*per_width, strict=True):
@@ -392,7 +404,7 @@ def _predictors(scenes: Sequence[SceneFigures]) -> Iterable[str]:
         [f"{s.name} ({len(s.trees)} trees)", *map(_r, row)]
         for s, row in zip(scenes, values, strict=True)
     ]
-    yield from _table(
+    yield from table(
         "r with counted cost, each width's own figures and cost; the fitted alpha; r of the binary "
         "tree's cost with the wide one's",
         heads,
@@ -408,10 +420,11 @@ def _some_trees(scene: SceneFigures) -> Iterable[str]:
         for builder, of in scene.trees.items()
     ]
     heads = ["builder", *(f"{name}, {w}" for name in quantities for w in WIDTHS)]
-    yield from _table(f"{scene.name}, {scene.triangles:,} triangles", heads, rows)
+    yield from table(f"{scene.name}, {scene.triangles:,} triangles", heads, rows)
 
 
-def _geometric(values: Iterable[float]) -> float:
+def geometric_mean(values: Iterable[float]) -> float:
+    """Mean of ratios."""
     return float(np.exp(np.mean(np.log(list(values)))))
 
 
@@ -422,15 +435,15 @@ def _builders(scenes: Sequence[SceneFigures]) -> Iterable[str]:
         row = [builder]
         for width in WIDTHS:
             over = [s.trees[builder][width].cost / s.column(width, "cost").min() for s in scenes]
-            row += [f"{_geometric(over):.3f}", str(sum(x == 1 for x in over))]
+            row += [f"{geometric_mean(over):.3f}", str(sum(x == 1 for x in over))]
         whole = [s.trees[builder][8].cost / s.trees[builder][2].cost for s in scenes]
-        rows.append([*row, f"{_geometric(whole):.3f}"])
+        rows.append([*row, f"{geometric_mean(whole):.3f}"])
     heads = [
         "builder",
         *(h for w in WIDTHS for h in (f"cost at width {w}", "best on")),
         "width 8 over 2",
     ]
-    yield from _table(
+    yield from table(
         "Counted cost over that of the scene's best tree of the width (geometric mean), and on how "
         "many scenes it is the best",
         heads,
@@ -452,10 +465,10 @@ def _before_and_after(scenes: Sequence[SceneFigures]) -> Iterable[str]:
                     / getattr(s.trees[start][width], quantity)
                     for s in scenes
                 ]
-                cells.append(f"{_geometric(over):.3f}")
+                cells.append(f"{geometric_mean(over):.3f}")
         rows.append(cells)
     heads = ["optimiser", "start", "SAH, 2", "SAH, 8", "EPO, 2", "EPO, 8", "cost, 2", "cost, 8"]
-    yield from _table("Optimised over start (geometric means)", heads, rows)
+    yield from table("Optimised over start (geometric means)", heads, rows)
     values = []
     for s in scenes:
         values.append(
@@ -474,7 +487,7 @@ def _before_and_after(scenes: Sequence[SceneFigures]) -> Iterable[str]:
         "SAH after, cost after",
     ]
     rows = [[s.name, *map(_r, row)] for s, row in zip(scenes, values, strict=True)]
-    yield from _table(
+    yield from table(
         "r between figures before the collapse to eight children and after it",
         heads,
         [*rows, _means(values, _r)],
@@ -487,8 +500,8 @@ def _choices(scenes: Sequence[SceneFigures]) -> Iterable[str]:
     rows = []
     for choice in some:
         over = [c[choice] for s in scenes for c in s.choices.values()]
-        rows.append([choice, f"{_geometric(over):.3f}", f"{min(over):.3f}", f"{max(over):.3f}"])
-    yield from _table(
+        rows.append([choice, f"{geometric_mean(over):.3f}", f"{min(over):.3f}", f"{max(over):.3f}"])
+    yield from table(
         "Eight children: counted cost over that of the cheapest SAH (all trees of all scenes)",
         ["collapse", "geometric mean", "least", "most"],
         rows,
@@ -503,12 +516,12 @@ def _visits(scenes: Sequence[SceneFigures]) -> Iterable[str]:
         cells = []
         for kind in ("rays", "cameras"):
             over = [tree.get(kind, np.nan) for tree in each]
-            cells += [_geometric(over), min(over), max(over)]
+            cells += [geometric_mean(over), min(over), max(over)]
         values.append(cells)
         rows.append([scene.name, *(f"{x:.3f}" for x in cells)])
     heads = ["scene", "other rays", "least", "most", "other cameras", "least", "most"]
     last = ["mean", *(f"{x:.3f}" for x in np.nanmean(values, axis=0))]
-    yield from _table(
+    yield from table(
         "Eight children chosen by the visits of half of the rays: counted cost for the other half "
         "over that of the cheapest SAH (geometric mean, least and most over the trees)",
         heads,
@@ -525,7 +538,7 @@ def _orders(scenes: Sequence[SceneFigures]) -> Iterable[str]:
             kinds = [f"{name} {order}" for order in ("larger", "blocking", "worth")]
             each = scene.any_hit.values()
             cells.append(float(np.mean([tree[f"{name} occluded"] for tree in each])))
-            cells += [_geometric(tree[kind] for tree in each) for kind in kinds]
+            cells += [geometric_mean(tree[kind] for tree in each) for kind in kinds]
         values.append(cells)
         rows.append([scene.name, *(f"{x:.2f}" for x in cells)])
     heads = [
@@ -540,7 +553,7 @@ def _orders(scenes: Sequence[SceneFigures]) -> Iterable[str]:
         "worth",
     ]
     last = ["mean", *(f"{x:.2f}" for x in np.mean(values, axis=0))]
-    yield from _table(
+    yield from table(
         "Any-hit rays, eight children: counted cost over that of near first (mean over the trees); "
         "rays without end, then of a tenth of the diagonal",
         heads,

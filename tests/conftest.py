@@ -39,6 +39,7 @@ SLOW_FILES = {
     "test_scenes_bundled",
     "test_traversal_styles",
     "test_traversal_warp",
+    "test_traversal_wide_warp",
     "test_wide_audit",
 }
 SLOW_FIXTURES = {"small_study"}

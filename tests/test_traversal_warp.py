@@ -179,12 +179,17 @@ def float32_distances(rows, inners, rays, count):
     return all_ids
 
 
-def execute(tree, triangles, rays, width, style, threshold=0, per_lane=1, warps=1):
+def binary_scene(tree, triangles, rays):
+    """Rows, codes, the root's code, and where each ray hits each triangle."""
+    rows, root = binary_rows(tree, triangles)
+    distances = float32_distances(rows, (len(tree) - 1) // 2, rays, len(triangles))
+    return rows, rows.view(np.int32), root, distances
+
+
+def execute(scene, rays, width, style, threshold=0, per_lane=1, warps=1, new_lane=Lane):
     """Warps executed as the published kernels say, loop by loop, with masks of active lanes."""
     rules = STYLES[style]
-    rows, root = binary_rows(tree, triangles)
-    codes, inners = rows.view(np.int32), (len(tree) - 1) // 2
-    distances = float32_distances(rows, inners, rays, len(triangles))
+    rows, codes, root, distances = scene
     counts, hits = np.zeros((len(rays.o), 3), int), np.full(len(rays.o), -1)
     issued = []
 
@@ -228,7 +233,7 @@ def execute(tree, triangles, rays, width, style, threshold=0, per_lane=1, warps=
         queue = list(range(begin, end))
 
         def warp(total):
-            lanes = [Lane() for _ in range(width)]
+            lanes = [new_lane() for _ in range(width)]
             while True:
                 for lane in lanes:
                     if lane.node == DONE and queue:
@@ -278,8 +283,7 @@ def test_against_a_literal_execution(scene, builder, style, options, width):
     scaled = ray_set(rays.o * scale, rays.d)
     threshold = {4: 3, 32: 20}[width] if style == "persistent" else 0
     issued, counts, hits = execute(
-        tree,
-        triangles,
+        binary_scene(tree, triangles, scaled),
         scaled,
         width,
         style,

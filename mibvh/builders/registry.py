@@ -427,6 +427,22 @@ def _over_parts(entry: Builder, triangles: Triangles, options: Options, context:
     return over_parts(entry.draft(as_boxes(references), plain, context), references, entry.name)
 
 
+def origin_of(
+    builder: str, options: Options, triangles: Triangles, report: Mapping[str, Any]
+) -> dict[str, Any]:
+    """What a tree's ``meta`` says of where it comes from."""
+    return {
+        "builder": builder,
+        "options": dataclasses.asdict(options),
+        "triangles": len(triangles),
+        "digest": triangles.digest,
+        "c_inner": options.c_inner,
+        "c_tri": options.c_tri,
+        "report": dict(report),
+        "mibvh": __version__,
+    }
+
+
 def build(
     triangles: Any,
     builder: str = "bbvh",
@@ -475,16 +491,8 @@ def build(
         draft = _over_parts(entry, triangles, chosen, context)
     else:
         draft = entry.run(triangles, chosen, context)
-    meta = {
-        "builder": builder,
-        "options": dataclasses.asdict(chosen),
-        "triangles": len(triangles),
-        "digest": triangles.digest,
-        "c_inner": chosen.c_inner,
-        "c_tri": chosen.c_tri,
-        "report": draft.meta.get("report", {}) if isinstance(draft, Tree) else draft.report,
-        "mibvh": __version__,
-    }
+    report = draft.meta.get("report", {}) if isinstance(draft, Tree) else draft.report
+    meta = origin_of(builder, chosen, triangles, report)
     if isinstance(draft, Tree):
         tree = draft.replace(meta=meta)
     else:

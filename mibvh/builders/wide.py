@@ -8,11 +8,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from mibvh.builders.registry import Builder, Context, build, get, next_to_nothing
+from mibvh.builders.registry import Builder, Context, build, get, next_to_nothing, origin_of
 from mibvh.collapsing import collapse
 from mibvh.errors import MibvhError
 from mibvh.triangles import as_triangles
-from mibvh.version import __version__
 from mibvh.wide_tree import C_BOX, WIDTHS, WideTree
 
 
@@ -67,18 +66,9 @@ def build_wide(
     report("building", 0.0)
     started = time.perf_counter()
     tree = entry.wide(triangles, chosen, width)
-    meta = {
-        "builder": builder,
-        "options": dataclasses.asdict(chosen),
-        "triangles": len(triangles),
-        "digest": triangles.digest,
-        "c_inner": chosen.c_inner,
-        "c_box": C_BOX,
-        "c_tri": chosen.c_tri,
-        "report": {"references": len(tree.references)},
-        "build_seconds": time.perf_counter() - started,
-        "mibvh": __version__,
-    }
+    seconds = time.perf_counter() - started
+    origin = origin_of(builder, chosen, triangles, {"references": len(tree.references)})
+    meta = {**origin, "c_box": C_BOX, "build_seconds": seconds}
     tree = tree.replace(width=width, meta=meta)
     if violations := tree.validate(triangles):
         raise MibvhError(f"builder {builder} made an invalid wide tree: {violations[0]}")

@@ -2,6 +2,9 @@
 
 The arithmetic is that of :mod:`mibvh.traversal.geometry` and :mod:`mibvh.traversal.steps`,
 operation by operation in float32, so that hits and visits are those of the Dr.Jit kernels.
+
+A ray may have several lanes, one for each child of a node. They do the same at any time, so that
+what is called a lane here is all lanes of a ray; they test as many triangles of a leaf at once.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ import numpy as np
 from mibvh._jit import njit
 from mibvh.traversal.records import DONE
 from mibvh.traversal.visits import Visits
-from mibvh.tree import MAX_DEPTH
+from mibvh.traversal.wide_nodes import Children, WideNodes, enter_children, new_children
 
 #: What a lane does with its leaves before the warp descends again: one of them; all at hand, the
 #: warp waiting after each; all at hand, each lane at its own pace.
@@ -21,7 +24,7 @@ ONE_LEAF, LEAF_BY_LEAF, OWN_PACE = 0, 1, 2
 
 _DONE = np.int32(DONE)
 _NONE = np.int32(-1)
-_ZERO, _ONE = np.float32(0), np.float32(1)
+_ZERO, _ONE, _INF = np.float32(0), np.float32(1), np.float32(np.inf)
 _TINY = np.float32(2.0**-80)
 _OUTWARD = np.float32(1.0 + 2.0**-21)
 
@@ -32,7 +35,9 @@ class Plan(NamedTuple):
     Attributes
     ----------
     width : int
-        Lanes of a warp.
+        Lanes of a warp, or as many rays as have its lanes.
+    together : int
+        Triangles of a leaf that are tested at once: the lanes of a ray.
     single : bool
         One loop whose steps do for each lane what it needs next; otherwise rounds.
     postpone, vote : bool
@@ -48,6 +53,7 @@ class Plan(NamedTuple):
     """
 
     width: int
+    together: int
     single: bool
     postpone: bool
     vote: bool
@@ -66,11 +72,16 @@ class Rays(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """A tree's records (:mod:`mibvh.traversal.records`)."""
+    """A tree's records (:mod:`mibvh.traversal.records`).
+
+    Of a wide tree the rows are those of its triangles; the code of an inner node is its number.
+    """
 
     rows: Any  # (N, 16) float32
     codes: Any  # the same memory as int32
     root: Any  # int32: the root's code
+    wide: bool
+    nodes: WideNodes  # of a wide tree
 
 
 class Lanes(NamedTuple):
@@ -84,12 +95,13 @@ class Lanes(NamedTuple):
     triangle: Any  # (L,) int32: the current hit; -1: none
     node: Any  # (L,) int32: code of the node to go to
     leaf: Any  # (L,) int32: code of the leaf at hand or put aside
-    stack: Any  # (L, MAX_DEPTH) int32
+    stack: Any  # (L, S) int32
     top: Any  # (L,) int32: entries of the stack
+    found: Children  # of the last wide node visited
 
 
-def new_lanes(count: int) -> Lanes:
-    """Lanes with no ray."""
+def new_lanes(count: int, stack: int) -> Lanes:
+    """Lanes with no ray, and room for so many entries on their stacks."""
 
     def vectors() -> Any:
         return np.zeros((count, 3), np.float32)
@@ -97,7 +109,6 @@ def new_lanes(count: int) -> Lanes:
     def codes(value: int) -> Any:
         return np.full(count, value, np.int32)
 
-    stack = np.zeros((count, MAX_DEPTH), np.int32)
     return Lanes(
         codes(0),
         vectors(),
@@ -107,8 +118,9 @@ def new_lanes(count: int) -> Lanes:
         codes(-1),
         codes(DONE),
         codes(DONE),
-        stack,
+        np.zeros((count, stack), np.int32),
         codes(0),
+        new_children(),
     )
 
 
@@ -117,7 +129,7 @@ def new_visits(count: int) -> Visits:
     return Visits(
         np.full(count, np.inf, np.float32),
         np.full(count, -1, np.int32),
-        *(np.zeros(count, np.uint32) for _ in range(3)),
+        *(np.zeros(count, np.uint32) for _ in range(4)),
     )
 
 
@@ -167,6 +179,36 @@ def _slabs(rows, row, at, o, inv, i):
 
 
 @njit(allocates=False)
+def _visit(lanes, i, scene, visits):
+    """Visit the lane's node, and count it."""
+    ray = lanes.ray[i]
+    visits.inner[ray] += np.uint32(1)
+    if scene.wide:
+        visits.boxes[ray] += np.uint32(scene.nodes.children[lanes.node[i]])
+        _wide_step(lanes, i, scene.nodes)
+    else:
+        visits.boxes[ray] += np.uint32(2)
+        _node_step(lanes, i, scene)
+
+
+@njit(allocates=False)
+def _wide_step(lanes, i, nodes):
+    """Test all children of the lane's node, push those hit, the nearest last, and pop it."""
+    node, found = lanes.node[i], lanes.found
+    o = (lanes.o[i, 0], lanes.o[i, 1], lanes.o[i, 2])
+    inv = (lanes.inv[i, 0], lanes.inv[i, 1], lanes.inv[i, 2])
+    enter_children(nodes, node, o, inv, lanes.t[i], found)
+    for place in range(7, -1, -1):
+        which = found.order[place]
+        if found.near[which] < _INF:
+            child = nodes.child[node] + which
+            code = child if nodes.child[child] >= 0 else ~nodes.first[child]
+            lanes.stack[i, lanes.top[i]] = code
+            lanes.top[i] += 1
+    lanes.node[i] = _pop(lanes, i)
+
+
+@njit(allocates=False)
 def _node_step(lanes, i, scene):
     """Test both children of the lane's node, push the farther, go to the nearer; or pop."""
     rows, codes = scene.rows, scene.codes
@@ -194,9 +236,9 @@ def _triple(dx, dy, dz, ax, ay, az, bx, by, bz):
 
 
 @njit(allocates=False)
-def _triangle_step(lanes, i, code, plan, scene):
-    """Test one triangle; whether it is the last that the lane tests of its leaf."""
-    rows, codes, row = scene.rows, scene.codes, ~code
+def _test(lanes, i, row, scene):
+    """Test one triangle; whether it is a nearer hit."""
+    rows = scene.rows
     x, y, z = lanes.o[i, 0], lanes.o[i, 1], lanes.o[i, 2]
     dx, dy, dz = lanes.d[i, 0], lanes.d[i, 1], lanes.d[i, 2]
     ax, ay, az = rows[row, 0] - x, rows[row, 1] - y, rows[row, 2] - z
@@ -209,22 +251,43 @@ def _triangle_step(lanes, i, code, plan, scene):
         nx, ny, nz = rows[row, 9], rows[row, 10], rows[row, 11]
         at = (nx * ax + ny * ay + nz * az) / (nx * dx + ny * dy + nz * dz)
         if at >= _ZERO and at < lanes.t[i]:
-            lanes.t[i], lanes.triangle[i] = at, codes[row, 12]
-            if plan.any_hit:
-                lanes.node[i], lanes.top[i] = _DONE, 0
-                return True
-    return codes[row, 13] != 0
+            lanes.t[i], lanes.triangle[i] = at, scene.codes[row, 12]
+            return True
+    return False
+
+
+@njit(allocates=False)
+def _triangle_step(lanes, i, code, plan, scene):
+    """Test as many triangles of a leaf as go together.
+
+    Returns
+    -------
+    ended : bool
+        Whether these are the last that are tested of the leaf.
+    tested : int
+    """
+    row, tested, ended, found = ~code, 0, False, False
+    while tested < plan.together and not ended:
+        # The first of several hits ends a ray that any hit ends; they are found at once.
+        if not found and _test(lanes, i, row, scene):
+            found = plan.any_hit
+        ended = scene.codes[row, 13] != 0
+        tested += 1
+        row += 1
+    if found:
+        lanes.node[i], lanes.top[i] = _DONE, 0
+    return ended or found, tested
 
 
 @njit(allocates=False)
 def _leaf(lanes, i, code, plan, scene, visits):
-    """Test all triangles of a leaf; how many those are."""
-    steps = 1
-    while not _triangle_step(lanes, i, code, plan, scene):
-        code -= np.int32(1)
+    """Test all triangles of a leaf; in how many steps."""
+    ray, steps, ended = lanes.ray[i], 0, False
+    while not ended:
+        ended, tested = _triangle_step(lanes, i, code, plan, scene)
+        visits.tests[ray] += np.uint32(tested)
+        code -= np.int32(plan.together)
         steps += 1
-    ray = lanes.ray[i]
-    visits.tests[ray] += np.uint32(steps)
     visits.leaves[ray] += np.uint32(1)
     return steps
 
@@ -251,8 +314,7 @@ def _descend(lanes, first, plan, scene, visits):
             if lanes.node[i] < 0:
                 continue
             inside += 1
-            _node_step(lanes, i, scene)
-            visits.inner[lanes.ray[i]] += np.uint32(1)
+            _visit(lanes, i, scene, visits)
             if plan.postpone:
                 if lanes.node[i] < 0 and lanes.node[i] != _DONE and lanes.leaf[i] == _DONE:
                     lanes.leaf[i] = lanes.node[i]
@@ -305,14 +367,13 @@ def _single_loop(lanes, first, plan, scene, visits, issued):
         for i in range(first, first + plan.width):
             node, ray = lanes.node[i], lanes.ray[i]
             if node >= 0:
-                _node_step(lanes, i, scene)
-                visits.inner[ray] += np.uint32(1)
+                _visit(lanes, i, scene, visits)
                 nodes = 1
             elif node != _DONE:
-                last = _triangle_step(lanes, i, node, plan, scene)
-                visits.tests[ray] += np.uint32(1)
-                visits.leaves[ray] += np.uint32(last)
-                lanes.node[i] = _pop(lanes, i) if last else node - np.int32(1)
+                ended, tested = _triangle_step(lanes, i, node, plan, scene)
+                visits.tests[ray] += np.uint32(tested)
+                visits.leaves[ray] += np.uint32(ended)
+                lanes.node[i] = _pop(lanes, i) if ended else node - np.int32(plan.together)
                 triangles = 1
         if nodes + triangles == 0:
             break
@@ -418,7 +479,7 @@ def run_queues(lanes, plan, queues, rays, scene, visits, issued):
 @njit(allocates=False)
 def count_rounds(lanes, begin, end, rays, scene, visits, per_ray, descents, lengths):
     """Rounds of each ray alone, and how many are so long: node steps, triangle steps."""
-    plan = Plan(1, False, False, False, ONE_LEAF, 0, False)
+    plan = Plan(1, 1, False, False, False, ONE_LEAF, 0, False)
     for ray in range(begin, end):
         _take(lanes, 0, ray, rays, scene.root, False)
         while lanes.node[0] != _DONE:

@@ -199,11 +199,22 @@ def binary_rows(tree: Tree, triangles: Triangles) -> tuple[F32, int]:
     inners = (len(tree) - 1) // 2
     rows = pages_of(inners + len(tree.references))
     root = _node_rows(tree.lower, tree.upper, tree.left, tree.first, scale, rows[:inners])
+    _leaf_rows(tree, triangles, scale, rows[inners:])
+    return rows, int(root)
+
+
+def leaf_rows(tree: Tree | WideTree, triangles: Triangles, scale: np.float32) -> F32:
+    """Rows of the binary layout for a tree's references, by the tree's own places."""
+    rows = np.zeros((len(tree.references), ROW), np.float32)
+    _leaf_rows(tree, triangles, scale, rows)
+    return rows
+
+
+def _leaf_rows(tree: Tree | WideTree, triangles: Triangles, scale: np.float32, rows: F32) -> None:
     last = np.zeros(len(tree.references), np.int32)
     leaves = tree.is_leaf
     last[tree.first[leaves] + tree.count[leaves] - 1] = 1
-    _triangle_rows(triangles.corners, tree.references, last, scale, rows[inners:])
-    return rows, int(root)
+    _triangle_rows(triangles.corners, tree.references, last, scale, rows)
 
 
 def _check_depth(depth: int) -> None:

@@ -26,13 +26,23 @@ style               what a round of a warp is                         published 
                     vote, and each lane tests its leaves at its own
                     pace
 ==================  ================================================  ==========================
+
+A wide tree (:class:`mibvh.WideTree`) is traced in one of two modes. With a lane per *ray*, one
+lane tests all children of a node, as in kernels for compressed wide trees (Ylitie, Karras and
+Laine, *Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs*, HPG 2017). With a
+lane per *child*, a ray has as many lanes of the warp as nodes have children, and they test the
+children of a node, or as many triangles of a leaf, in one step: in a warp of 32, four rays for
+nodes of eight. That is how CPUs use their lanes for single rays (Wald, Benthin and Boulos, *Getting
+Rid of Packets: Efficient SIMD Single-Ray Traversal using Multi-branching BVHs*, RT 2008), brought
+to GPUs by Lier, Stamminger and Selgrad (*CPU-Style SIMD Ray Traversal on GPUs*, HPG 2018), whose
+published kernels are a single loop: ``single`` here.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -44,11 +54,15 @@ from mibvh.traversal import lockstep
 from mibvh.traversal.divergence import Rounds, packets
 from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.order import Order, ray_order
-from mibvh.traversal.records import binary_rows, unit_scale
+from mibvh.traversal.records import binary_rows, leaf_rows, unit_scale
 from mibvh.traversal.visits import Visits
+from mibvh.traversal.wide_nodes import wide_nodes
 from mibvh.tree import Tree
 from mibvh.triangles import F32, F64, I32, Triangles, as_triangles
+from mibvh.wide_tree import C_BOX, WideTree
 
+#: What a lane of a warp is for: a ray, or a child of the node that a ray is at.
+LanePer = Literal["ray", "child"]
 U32 = npt.NDArray[np.uint32]
 I64 = npt.NDArray[np.int64]
 
@@ -127,6 +141,12 @@ class Warps:
         Rounds of each warp; of the single loop, its steps.
     dealt : (R,) int32
         The rays in the order in which they were dealt to lanes.
+    boxes : (R,) uint32
+        Child boxes tested, ray by ray.
+    children : int
+        Children that the tree's nodes may have.
+    lanes : int
+        Lanes of each ray: 1, or ``children``.
     """
 
     width: int
@@ -142,6 +162,9 @@ class Warps:
     issued: I64
     rounds: I64
     dealt: I32
+    boxes: U32
+    children: int = 2
+    lanes: int = 1
 
     def __len__(self) -> int:
         """Return the number of rays."""
@@ -150,26 +173,44 @@ class Warps:
     @property
     def active(self) -> tuple[int, int]:
         """Lane-steps in which a lane had work: of nodes, of triangles."""
-        return int(self.inner.sum(dtype=np.int64)), int(self.tests.sum(dtype=np.int64))
+        nodes = self.boxes if self.lanes > 1 else self.inner
+        return int(nodes.sum(dtype=np.int64)), int(self.tests.sum(dtype=np.int64))
 
-    def cost(self, c_inner: float = 1.2, c_tri: float = 1.0) -> float:
+    @property
+    def c_inner(self) -> float:
+        """What a step of nodes costs by default.
+
+        1.2, and 0.2 for each box beyond two that a lane tests, whether there is a child or not.
+        """
+        return 1.2 + C_BOX * max(0, self.children // self.lanes - 2)
+
+    def cost(self, c_inner: float | None = None, c_tri: float = 1.0) -> float:
         """What a ray costs: issued steps, weighted, times the width, per ray.
 
         A warp's issued step occupies all of its lanes, so that at width 1 this is
         :meth:`counted_cost`.
         """
         nodes, triangles = self.issued.sum(axis=0) * self.width / len(self)
-        return float(c_inner * nodes + c_tri * triangles)
+        return float(self._c_inner(c_inner) * nodes + c_tri * triangles)
 
-    def counted_cost(self, c_inner: float = 1.2, c_tri: float = 1.0) -> float:
-        """Mean over the rays of ``c_inner * inner + c_tri * tests``: what the rays themselves need.
+    def counted_cost(self, c_inner: float | None = None, c_tri: float = 1.0) -> float:
+        """Mean over the rays of the steps in which their lanes have work, weighted.
 
-        With a vote, lanes of wide warps visit more than a lane alone would.
+        With a lane per ray ``c_inner * inner + c_tri * tests``: what the rays themselves need; with
+        a lane per child ``c_inner * boxes + c_tri * tests``. With a vote, lanes of wide warps visit
+        more than a lane alone would.
         """
-        return float(c_inner * self.inner.mean() + c_tri * self.tests.mean())
+        nodes, triangles = (steps / len(self) for steps in self.active)
+        return float(self._c_inner(c_inner) * nodes + c_tri * triangles)
 
-    def utilisation(self, c_inner: float = 1.2, c_tri: float = 1.0) -> float:
-        """Share of the issued lane-steps, weighted by cost, in which the lane had work."""
+    def _c_inner(self, given: float | None) -> float:
+        return self.c_inner if given is None else given
+
+    def utilisation(self, c_inner: float | None = None, c_tri: float = 1.0) -> float:
+        """Share of the issued lane-steps, weighted by cost, in which the lane had work.
+
+        With a lane per child, work is a child that there is, or a triangle.
+        """
         cost = self.cost(c_inner, c_tri)
         return self.counted_cost(c_inner, c_tri) / cost if cost else 1.0
 
@@ -183,10 +224,10 @@ class Warps:
 
         Returns
         -------
-        (R // width,) float64
+        (P,) float64
             Of full packets. Where lanes fetch rays, these are no longer a warp's rays at one time.
         """
-        return packets(counts, self.width, self.dealt).max(axis=1)
+        return packets(counts, self.width // self.lanes, self.dealt).max(axis=1)
 
     @property
     def lcv(self) -> float:
@@ -195,12 +236,13 @@ class Warps:
 
 
 def simulate(
-    tree: Tree,
+    tree: Tree | WideTree,
     triangles: object,
     rays: RaySet,
     width: int = 32,
     style: str = "persistent",
     *,
+    lane_per: LanePer = "ray",
     vote: bool | None = None,
     any_hit: bool | None = None,
     fetch_below: int = FETCH_BELOW,
@@ -214,7 +256,7 @@ def simulate(
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles, Scene or (N, 3, 3) array
         What the tree was built for.
     rays : RaySet
@@ -222,6 +264,9 @@ def simulate(
         Lanes of a warp, from 1 to 64.
     style : str
         One of :data:`STYLES`.
+    lane_per : "ray" or "child"
+        Whether each lane traces a ray of its own, or a ray has a lane for each child that a node
+        may have. A ray that any hit ends is then ended by the first of the hits found at once.
     vote : bool, optional
         Leave the vote out, or put it in; as the style has it by default.
     any_hit : bool, optional
@@ -255,6 +300,9 @@ def simulate(
     tree.check_matches(geometry)
     rays.check_matches(geometry)
     rules = _rules(style, vote)
+    children = tree.width if isinstance(tree, WideTree) else 2
+    lanes = _lanes(lane_per, children, width)
+    groups = width // lanes
     for name, value in (
         ("fetch_below", fetch_below),
         ("rays_per_lane", rays_per_lane),
@@ -262,22 +310,22 @@ def simulate(
     ):
         if value < 1:
             raise MibvhError(f"{name} must be at least 1, not {value}")
-    check_rules(width, style)
     if len(rays) == 0:
         raise MibvhError("there are no rays to trace")
     plan = lockstep.Plan(
-        width,
+        groups,
+        lanes,
         not rules.rounds,
         rules.postpone,
         rules.vote,
         rules.leaves,
-        min(-(-fetch_below * width // 32), width) if rules.fetch else 0,
+        min(-(-fetch_below * groups // 32), groups) if rules.fetch else 0,
         rays.occlusion if any_hit is None else any_hit,
     )
     sharing, per_lane = (warps, rays_per_lane) if rules.fetch else (1, 1)
     dealt = ray_order(rays, geometry.bounds, order, seed)
     visits, issued, unit = _run(
-        plan, tree, geometry, rays, dealt, sharing, sharing * per_lane * width, threads
+        plan, tree, geometry, rays, dealt, sharing, sharing * per_lane * groups, threads
     )
     return Warps(
         width,
@@ -290,10 +338,24 @@ def simulate(
         issued[:, :2].copy(),
         issued[:, 2].copy(),
         dealt,
+        visits.boxes,
+        children,
+        lanes,
     )
 
 
-def check_rules(width: int, style: str) -> None:
+def _lanes(lane_per: str, children: int, width: int) -> int:
+    """Lanes of a ray."""
+    if lane_per not in get_args(LanePer):
+        raise MibvhError(f"lane_per must be {' or '.join(get_args(LanePer))}, not {lane_per!r}")
+    lanes = children if lane_per == "child" else 1
+    check_rules(width)
+    if lanes > width:
+        raise MibvhError(f"a warp of {width} lanes holds no ray with a lane per child of {lanes}")
+    return lanes
+
+
+def check_rules(width: int, style: str = "single") -> None:
     """Refuse a width or style that there are no warps of.
 
     Raises
@@ -339,13 +401,14 @@ def ray_rounds(tree: Tree, triangles: object, rays: RaySet, threads: int | None 
     geometry = as_triangles(triangles)
     tree.check_matches(geometry)
     rays.check_matches(geometry)
-    scene, work, _ = _prepare(tree, geometry, rays, np.arange(len(rays), dtype=np.int32))
+    dealt = np.arange(len(rays), dtype=np.int32)
+    scene, work, _ = _prepare(tree, geometry, rays, dealt, any_hit=False)
     visits, per_ray = lockstep.new_visits(len(rays)), np.zeros(len(rays), np.uint32)
     workers = threads or thread_count()
     # No descent is longer than the tree has inner nodes, no leaf than its largest.
     descents = np.zeros((workers, len(tree) // 2 + 2), np.int64)
     lengths = np.zeros((workers, int(tree.count[tree.is_leaf].max()) + 1), np.int64)
-    lanes = [lockstep.new_lanes(1) for _ in range(workers)]
+    lanes = [lockstep.new_lanes(1, tree.depth + 1) for _ in range(workers)]
 
     def block(worker: int, begin: int, end: int) -> None:
         lockstep.count_rounds(
@@ -367,13 +430,22 @@ def ray_rounds(tree: Tree, triangles: object, rays: RaySet, threads: int | None 
 
 
 def _prepare(
-    tree: Tree, triangles: Triangles, rays: RaySet, dealt: I32
+    tree: Tree | WideTree, triangles: Triangles, rays: RaySet, dealt: I32, any_hit: bool
 ) -> tuple[lockstep.Scene, lockstep.Rays, npt.NDArray[np.float64]]:
     """Records, rays in their units, and the units of distance."""
-    rows, root = binary_rows(tree, triangles)
-    prepared = kernel_rays(rays, float(unit_scale(triangles)))
+    scale = unit_scale(triangles)
+    if isinstance(tree, WideTree):
+        rows = leaf_rows(tree, triangles, scale)
+        root, nodes = -1 if tree.is_leaf[0] else 0, wide_nodes(tree, scale, any_hit)
+    else:
+        rows, root = binary_rows(tree, triangles)
+        nodes = wide_nodes(None, scale, any_hit)
+    prepared = kernel_rays(rays, float(scale))
+    scene = lockstep.Scene(
+        rows, rows.view(np.int32), np.int32(root), isinstance(tree, WideTree), nodes
+    )
     return (
-        lockstep.Scene(rows, rows.view(np.int32), np.int32(root)),
+        scene,
         lockstep.Rays(*prepared[:3], dealt),
         prepared.unit,
     )
@@ -381,7 +453,7 @@ def _prepare(
 
 def _run(
     plan: lockstep.Plan,
-    tree: Tree,
+    tree: Tree | WideTree,
     triangles: Triangles,
     rays: RaySet,
     dealt: I32,
@@ -390,15 +462,17 @@ def _run(
     threads: int | None,
 ) -> tuple[Visits, I64, npt.NDArray[np.float64]]:
     """Run queues of so many rays, with so many warps each, on several threads."""
-    scene, work, unit = _prepare(tree, triangles, rays, dealt)
+    scene, work, unit = _prepare(tree, triangles, rays, dealt, plan.any_hit)
     begins = np.arange(0, len(rays), length)
     queues = np.stack([begins, np.minimum(begins + length, len(rays))], axis=1)
     issued = np.zeros((len(queues), warps, 4), np.int64)
     visits = lockstep.new_visits(len(rays))
+    # At each level all children but the one that is gone to are put off, and for a moment that one.
+    stack = tree.depth * (tree.width - 1 if isinstance(tree, WideTree) else 1) + 1
 
     @functools.cache
     def lanes(worker: int) -> lockstep.Lanes:
-        return lockstep.new_lanes(warps * plan.width)
+        return lockstep.new_lanes(warps * plan.width, stack)
 
     def block(worker: int, begin: int, end: int) -> None:
         lockstep.run_queues(

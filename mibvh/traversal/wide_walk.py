@@ -14,20 +14,16 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.collapsing import collapse
-from mibvh.quantise import finest_step, grid
 from mibvh.rays.rayset import RaySet
 from mibvh.traversal.kernel_rays import kernel_rays
 from mibvh.traversal.records import unit_scale
 from mibvh.traversal.trace import U32
-from mibvh.traversal.wide_rows import ENTRY, NETWORKS
+from mibvh.traversal.wide_nodes import enter_children, new_children, wide_nodes
 from mibvh.tree import MAX_DEPTH, Tree
 from mibvh.triangles import F32, F64, I32, as_triangles
 from mibvh.wide_tree import WideTree
 
 _TINY = np.float32(2.0**-80)
-_OUTWARD, _OUTWARD_SMALL = np.float32(1.0 + 2.0**-21), np.float32(1.0 + 2.0**-20)
-_SLACK = np.float32(2.0**-16)
-_NEAREST = np.float32(2.0**-100)
 _ZERO, _INF = np.float32(0), np.float32(np.inf)
 
 
@@ -86,26 +82,16 @@ def walk_wide_tree(
     o, d, tmax, unit = kernel_rays(rays, float(scale))
     counts = np.zeros((len(rays), 4), np.uint32)
     t, hit = np.empty(len(rays), np.float32), np.empty(len(rays), np.int32)
-    arrays = (
-        tree.lower * scale,
-        tree.upper * scale,
-        tree.child,
-        tree.children,
-        tree.first,
-        tree.count,
-        tree.references,
-        triangles.corners * scale,
-        tree.quantised,
-    )
-    stored = any_hit and bool(tree.meta.get("ordered"))
+    nodes, found = wide_nodes(tree, scale, any_hit), new_children()
+    shapes = (tree.references, triangles.corners * scale)
     starts = np.zeros(len(rays) + 1, np.int64)
     told = np.empty(0, np.int32)
-    network = np.array([] if stored else NETWORKS[tree.width], np.int64).reshape(-1, 2)
-    _walk(arrays, o, d, tmax, any_hit, network, t, hit, counts, starts, told)
+    hits = (t, hit, starts)
+    _walk(nodes, shapes, (o, d, tmax), any_hit, found, hits, counts, told)
     if steps:
         np.cumsum(counts[:, 0] + counts[:, 3], dtype=np.int64, out=starts[1:])
         told = np.empty(starts[-1], np.int32)
-        _walk(arrays, o, d, tmax, any_hit, network, t, hit, counts, starts, told)
+        _walk(nodes, shapes, (o, d, tmax), any_hit, found, hits, counts, told)
     with np.errstate(over="ignore"):
         t = (t / unit).astype(np.float32)
     inner, boxes, leaves, tests = (np.ascontiguousarray(column) for column in counts.T)
@@ -140,17 +126,15 @@ def node_visits(tree: Tree | WideTree, triangles: Any, rays: RaySet) -> F64:
 
 
 @njit
-def _walk(tree, o, d, tmax, any_hit, network, t_out, hit_out, counts, starts, told):
-    """Trace all rays; without a network that sorts them, children are taken as they stand."""
-    lower, upper, child, children, first, count, references, corners, small = tree
+def _walk(nodes, tree, rays, any_hit, found, hits, counts, told):
+    """Trace all rays."""
+    references, corners = tree
+    o, d, tmax = rays
+    t_out, hit_out, starts = hits
     stack = np.empty(8 * MAX_DEPTH + 8, np.int32)
-    near, slot, order = np.empty(8, np.float32), np.empty(8, np.int32), np.empty(8, np.int64)
-    finest = finest_step(lower[0], upper[0])
-    inv = np.empty(3, np.float32)
     for r in range(len(tmax)):
-        for k in range(3):
-            x = d[r, k]
-            inv[k] = np.float32(1) / (np.float32(np.copysign(_TINY, x)) if abs(x) < _TINY else x)
+        origin = (o[r, 0], o[r, 1], o[r, 2])
+        inv = (_inverse(d[r, 0]), _inverse(d[r, 1]), _inverse(d[r, 2]))
         t, hit = tmax[r], np.int32(-1)
         inner = boxes = leaves = tests = 0
         at = starts[r]
@@ -158,10 +142,11 @@ def _walk(tree, o, d, tmax, any_hit, network, t_out, hit_out, counts, starts, to
         while top > 0:
             top -= 1
             node = stack[top]
-            if child[node] < 0:
+            begin, size = nodes.child[node], nodes.children[node]
+            if begin < 0:
                 leaves += 1
                 ended = False
-                for i in range(first[node], first[node] + count[node]):
+                for i in range(nodes.first[node], nodes.first[node] + nodes.count[node]):
                     if len(told) > 0:
                         told[at] = ~i
                         at += 1
@@ -178,38 +163,12 @@ def _walk(tree, o, d, tmax, any_hit, network, t_out, hit_out, counts, starts, to
             if len(told) > 0:
                 told[at] = node
                 at += 1
-            begin, size = child[node], children[node]
             inner += 1
             boxes += size
-            # -- a child's place beside its siblings, inner nodes first
-            inners = 0
-            for i in range(size):
-                inners += child[begin + i] >= 0
-            a, b = 0, inners
-            for i in range(size):
-                if child[begin + i] >= 0:
-                    slot[i] = a
-                    a += 1
-                else:
-                    slot[i] = b
-                    b += 1
-            if small:
-                _small(lower, upper, begin, size, finest, o[r], inv, t, near)
-                for i in range(size):
-                    near[i] = _tagged(near[i], ENTRY | slot[i])
-            else:
-                for i in range(size):
-                    near[i] = _plain(lower[begin + i], upper[begin + i], o[r], inv, t)
-            near[size:] = _INF
-            for i in range(8):
-                order[i] = i
-            for s in range(len(network)):
-                a, b = order[network[s, 0]], order[network[s, 1]]
-                if near[b] < near[a]:
-                    order[network[s, 0]], order[network[s, 1]] = b, a
+            enter_children(nodes, node, origin, inv, t, found)
             for i in range(7, -1, -1):
-                if near[order[i]] < _INF:
-                    stack[top] = begin + order[i]
+                if found.near[found.order[i]] < _INF:
+                    stack[top] = begin + found.order[i]
                     top += 1
         t_out[r] = t if hit >= 0 else _INF
         hit_out[r] = hit
@@ -217,55 +176,8 @@ def _walk(tree, o, d, tmax, any_hit, network, t_out, hit_out, counts, starts, to
 
 
 @njit
-def _tagged(distance, tag):
-    """The distance with its four lowest bits replaced; infinity stays."""
-    if distance == _INF:
-        return distance
-    value = np.empty(1, np.float32)
-    value[0] = distance
-    bits = value.view(np.uint32)
-    bits[0] = (bits[0] & np.uint32(0xFFFFFFF0)) | np.uint32(tag)
-    return value[0]
-
-
-@njit
-def _plain(lower, upper, o, inv, t):
-    """Where a ray enters a float32 box before t, or infinity."""
-    near, far = _ZERO, _INF
-    for k in range(3):
-        a, b = (lower[k] - o[k]) * inv[k], (upper[k] - o[k]) * inv[k]
-        near, far = max(near, min(a, b)), min(far, max(a, b))
-    return near if near <= min(far * _OUTWARD, t) else _INF
-
-
-@njit
-def _fma(a, b, c):
-    """Multiply and add, rounded once but for the rarest of double roundings."""
-    return np.float32(np.float64(a) * np.float64(b) + np.float64(c))
-
-
-@njit
-def _small(lower, upper, begin, size, finest, o, inv, t, near):
-    """Where a ray enters the 8-bit boxes of a node's children before t, or infinity."""
-    far = np.full(8, _INF, np.float32)
-    near[:] = _NEAREST
-    for k in range(3):
-        group = slice(begin, begin + size)
-        origin, exponent = grid(lower[group, k].min(), upper[group, k].max(), finest)
-        length = np.float32(2.0 ** (exponent + 8))
-        scale = length * inv[k]
-        start = (np.float32(origin) - o[k] - length) * inv[k]
-        slack = abs(scale) * _SLACK
-        for i in range(size):
-            a = 1.0 + (np.float64(lower[begin + i, k]) - origin) / 2.0 ** (exponent + 8)
-            b = 1.0 + (np.float64(upper[begin + i, k]) - origin) / 2.0 ** (exponent + 8)
-            if inv[k] < _ZERO:
-                a, b = b, a
-            near[i] = max(near[i], _fma(a, scale, start - slack))
-            far[i] = min(far[i], _fma(b, scale, start + slack))
-    for i in range(size):
-        if not near[i] <= min(far[i] * _OUTWARD_SMALL, t):
-            near[i] = _INF
+def _inverse(x):
+    return np.float32(1) / (np.float32(np.copysign(_TINY, x)) if abs(x) < _TINY else x)
 
 
 @njit
