@@ -36,7 +36,7 @@ PARTS = {
 PATIENCE, FIRST_PATIENCE = 30.0, 600.0
 #: So do later cases of these parts, when they first meet a builder or a style of traversal; or they
 #: are whole studies.
-LONG = {"files": 300.0, "soups": 300.0, "pieces": 300.0, "kills": 600.0}
+LONG = {"files": 300.0, "imports": 300.0, "soups": 300.0, "pieces": 300.0, "kills": 600.0}
 #: Faults of one part after which it ends.
 MOST_FAULTS = 20
 
