@@ -16,7 +16,8 @@ from mibvh.coverage import uncovered
 from mibvh.nodes import DEEPEST, MAX_DEPTH, Nodes
 from mibvh.triangles import MAX_COORDINATE, Triangles
 
-#: Leaves up to this size are searched for repeated triangles pair by pair; larger ones are sorted.
+#: Leaves up to this size are searched for repeated triangles pair by pair, in compiled code; larger
+#: ones are rare, and sorted by NumPy: Numba takes seconds to compile its own sort.
 _SMALL_LEAF = 32
 #: Cost constants up to this are taken, by builders too.
 _DEAREST = 1e6
@@ -37,8 +38,10 @@ _STRUCTURE = {
 
 
 @njit
-def _structure(left, first, count, references):
+def _structure(left, first, count, references, small):
     """Return the number of the first violation in :data:`_STRUCTURE`, and its node; 0 if none.
+
+    Leaves of more than ``small`` references are not searched for repeated ones.
 
     Parents stand before their children: one pass sees each node after its parent, and there can
     be no cycle.
@@ -55,7 +58,7 @@ def _structure(left, first, count, references):
             return 6, n
         child = np.int64(left[n])
         if child == -1:
-            if _repeats(references, first[n], count[n]):
+            if count[n] <= small and _repeats(references, first[n], count[n]):
                 return 9, n
             continue
         if child <= n:
@@ -79,9 +82,6 @@ def _structure(left, first, count, references):
 @njit
 def _repeats(ids, first, count):
     """Whether a value stands twice among ``count`` of the array's from ``first``."""
-    if count > _SMALL_LEAF:
-        run = np.sort(ids[first : first + count])
-        return (run[1:] == run[:-1]).any()
     for i in range(first + 1, first + count):
         for k in range(first, i):
             if ids[i] == ids[k]:
@@ -172,7 +172,9 @@ def structure_violations(tree: Nodes) -> list[str]:
     found = _array_violations(tree)
     if found:
         return found
-    violation, n = _structure(tree.left, tree.first, tree.count, tree.references)
+    violation, n = _structure(tree.left, tree.first, tree.count, tree.references, _SMALL_LEAF)
+    if not violation:
+        violation, n = _repeats_in_large_leaves(tree)
     if violation:
         return [
             _STRUCTURE[violation].format(
@@ -189,6 +191,15 @@ def structure_violations(tree: Nodes) -> list[str]:
     if known is None and tree.references.min() < 0:
         return ["a reference is negative"]
     return (_reference_violations(tree, known) if known is not None else []) + _box_violations(tree)
+
+
+def _repeats_in_large_leaves(tree: Nodes) -> tuple[int, int]:
+    """Return what :func:`_structure` does for leaves of a sound structure that it leaves out."""
+    for n in np.flatnonzero((tree.left < 0) & (tree.count > _SMALL_LEAF)):
+        run = np.sort(tree.references[tree.first[n] : tree.first[n] + tree.count[n]])
+        if (run[1:] == run[:-1]).any():
+            return 9, int(n)
+    return 0, 0
 
 
 def geometry_violations(tree: Nodes, triangles: Triangles) -> list[str]:

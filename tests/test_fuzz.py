@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -14,7 +15,8 @@ _ROOT = str(Path(__file__).resolve().parent.parent)
 if _ROOT not in sys.path:
     sys.path.insert(0, _ROOT)
 
-from tools.fuzz import pieces, soups  # noqa: E402
+from mibvh.layouts import LAYOUTS  # noqa: E402
+from tools.fuzz import layouts, pieces, soups  # noqa: E402
 
 
 @pytest.fixture
@@ -67,3 +69,27 @@ def test_pieces_end_well_and_a_file_outside_is_noticed(monkeypatch):
     monkeypatch.setattr(pieces, "remake_report", careless)
     with pytest.raises(AssertionError, match="something outside the folder changed"):
         bench.run(0)
+
+
+def run_fuzz(*words):
+    return subprocess.run(
+        [sys.executable, "-m", "tools.fuzz", *words], cwd=_ROOT, capture_output=True, text=True
+    )
+
+
+def test_help_and_a_part_that_there_is_not():
+    helped, wrong = run_fuzz("--help"), run_fuzz("mesh")
+    assert (helped.returncode, helped.stderr) == (0, "")
+    assert "files, imports, meshes" in helped.stdout
+    assert (wrong.returncode, wrong.stdout) == (2, "")
+    assert "there is no part 'mesh'; there are: files, imports" in wrong.stderr
+
+
+def test_trees_of_other_programs_damaged_and_whole(monkeypatch):
+    """Wide layouts too, which are made of a collapsed tree."""
+    bench = layouts.Imports()
+    damaged = {bench.run(seed) for seed in range(40)}
+    assert {how.split()[1] for how in damaged} <= {"refused", "accepted"}
+    monkeypatch.setattr(layouts, "damaged", lambda data, _: data)
+    whole = {bench.run(seed) for seed in range(100)}
+    assert whole == {f"{layout} accepted" for layout in LAYOUTS}

@@ -31,7 +31,7 @@ from mibvh.builders.treelet import (
 from mibvh.errors import MibvhError
 
 CONTEXT = Context()
-NONE_SPLIT = None
+NONE_SPLIT = np.empty(0, np.int32)
 
 
 def all_trees(leaves):

@@ -279,6 +279,24 @@ def test_arrays_cannot_be_written_to(small_soup):
         assert copied.validate(small_soup) == []
 
 
+@pytest.mark.parametrize("count", [32, 33, 500])
+def test_a_triangle_twice_in_a_leaf_of_any_size(count):
+    """Small leaves are searched by compiled code, large ones by NumPy."""
+    triangles = soup(count)
+    whole = mibvh.Tree.from_arrays(
+        triangles.corners.min((0, 1))[None],
+        triangles.corners.max((0, 1))[None],
+        left=np.array([-1]),
+        first=np.array([0]),
+        count=np.array([count]),
+        references=np.arange(count),
+    )
+    assert structure_violations(whole) == []
+    references = np.append(whole.references, whole.references[7])
+    twice = whole.replace(references=references, count=np.array([count + 1], np.int32))
+    assert structure_violations(twice) == ["a leaf, node 0, holds a triangle twice"]
+
+
 def test_the_check_is_made_once(small_soup, monkeypatch):
     import mibvh.validation
 

@@ -11,7 +11,9 @@ from mibvh.builders.registry import (
     get,
     later_names,
     names,
+    next_to_nothing,
     option,
+    warm_up,
 )
 
 __all__ = [
@@ -26,5 +28,7 @@ __all__ = [
     "get",
     "later_names",
     "names",
+    "next_to_nothing",
     "option",
+    "warm_up",
 ]

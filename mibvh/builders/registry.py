@@ -401,7 +401,7 @@ def next_to_nothing() -> Triangles:
     return Triangles(corners.astype(np.float32), "warm-up")
 
 
-def _warm_up(name: str, progress: Callable[[str, float], None]) -> None:
+def warm_up(name: str, progress: Callable[[str, float], None] = lambda stage, done: None) -> None:
     """Run a builder of this package, or what finishes a user's draft, once on next to nothing.
 
     So the seconds reported for a tree hold no compilation, nor the loading of compiled code.
@@ -483,7 +483,7 @@ def build(
     chosen = entry.options_of(options)
     entry.check_room(triangles, chosen)
     context = Context(progress or Context.progress, measure or _AREA, source)
-    _warm_up(builder, context.progress)
+    warm_up(builder, context.progress)
     context.progress("building", 0.0)
     started, before = time.perf_counter(), spared()
     draft: Draft | Tree

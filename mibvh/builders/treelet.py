@@ -56,13 +56,14 @@ _STEP = 1 << 17
 _ROOTS = 4
 #: Treelets solved side by side.
 _LANES = 8
+#: What :func:`owners` says where no triangle is split.
+_NONE_SPLIT = np.empty(0, np.int32)
 
 
 class Nodes(NamedTuple):
     """The tree that is rearranged.
 
-    Whose parts the leaf nodes are (:func:`owners`) stands beside it: compiled code without it
-    is chosen by an argument that is None.
+    Whose parts the leaf nodes are (:func:`owners`) stands beside it.
     """
 
     left: Any  #: (2 R - 1,) int32: the children; -1 at a leaf node
@@ -230,7 +231,13 @@ def _find_repeats(size, lane, leaves, owner, nodes, max_leaf, work, s_again):
                 if owner[tips[j]] >= 0:
                     keys[used] = np.int64(owner[tips[j]]) << 3 | i
                     used += 1
-    keys[:used].sort()
+    # By insertion: they are few, and Numba takes a second to compile its own sort.
+    for i in range(1, used):
+        key, j = keys[i], i
+        while j > 0 and keys[j - 1] > key:
+            keys[j] = keys[j - 1]
+            j -= 1
+        keys[j] = key
     begin = 0
     while begin < used:
         end = begin + 1
@@ -276,8 +283,8 @@ def _solve(size, owner, c_inner, c_tri, max_leaf, measure, s_box, s_count, s_aga
     ----------
     size : int
         Leaves of a treelet, n.
-    owner : (2R - 1,) int32, or None
-        From :func:`owners`; None where no triangle is split, and there is nothing in ``s_again``.
+    owner : (2R - 1,) int32
+        From :func:`owners`; empty where no triangle is split, and there is nothing in ``s_again``.
     c_inner, c_tri, max_leaf, measure : float, float, int, None or tuple
         The costs, and what they are of; None is the area.
     s_box : (2**n, 6, 8) float32
@@ -290,6 +297,7 @@ def _solve(size, owner, c_inner, c_tri, max_leaf, measure, s_box, s_count, s_aga
     """
     inner_factor, leaf_factor = lanes.fill(c_inner), lanes.fill(c_tri)
     most, never = lanes.fill(float(max_leaf)), lanes.fill(np.inf)
+    split = len(owner) > 0
     # Unsigned indices, as Numba spends time on negative ones.
     one, two, six = np.uint64(1), np.uint64(2), np.uint64(6)
     for s in range(one + two, one << np.uint64(size)):
@@ -324,7 +332,7 @@ def _solve(size, owner, c_inner, c_tri, max_leaf, measure, s_box, s_count, s_aga
             area = lanes.load(s_cost, s)
         count = lanes.add(lanes.load(s_count, low), lanes.load(s_count, rest))
         lanes.store(s_count, s, count)
-        if owner is not None:
+        if split:
             count = lanes.subtract(count, lanes.load(s_again, s))
         inner = lanes.add(lanes.multiply(inner_factor, area), best)
         leaf = lanes.multiply(lanes.multiply(leaf_factor, area), count)
@@ -367,7 +375,7 @@ def _rebuild(size, lane, leaves, inner, owner, nodes, costs, work, subsets):
             box[node, k] = s_box[s, k, lane]
         count[node] = np.int32(s_count[s, lane])
         cost[node] = s_cost[s, lane]
-        if owner is not None:
+        if len(owner) > 0:
             distinct = s_count[s, lane] - s_again[s, lane]
             leaf = costs.c_tri * box_area(costs.measure, box, node) * distinct
             if s_again[s, lane] > 0.0 and distinct <= costs.max_leaf and leaf <= s_cost[s, lane]:
@@ -406,7 +414,7 @@ def _rebuild(size, lane, leaves, inner, owner, nodes, costs, work, subsets):
                 right[node] = child
             else:
                 left[node] = child
-    if owner is not None:
+    if len(owner) > 0:
         # Joining parts leaves fewer references; children stand behind their parents in `inner`.
         for i in range(used - 1, -1, -1):
             node = inner[i, lane]
@@ -431,7 +439,7 @@ def _improve(roots, size, owner, nodes, costs):
     s_cost = np.zeros((1 << size, _LANES), np.float64)
     s_again = np.zeros((1 << size, _LANES), np.float64)
     subsets = (s_box, s_count, s_again, s_cost)
-    room = 8 * (max_leaf + 1) if owner is not None else 0
+    room = 8 * (max_leaf + 1) if len(owner) > 0 else 0
     work = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int64)
     rebuilt, begin = 0, 0
     while begin < len(roots):
@@ -452,7 +460,7 @@ def _improve(roots, size, owner, nodes, costs):
                     s_box[1 << i, k, used] = box[leaf, k]
                 s_count[1 << i, used] = count[leaf]
                 s_cost[1 << i, used] = cost[leaf]
-            if owner is not None:
+            if len(owner) > 0:
                 _find_repeats(size, used, leaves, owner, nodes, max_leaf, work, s_again)
             used += 1
         _solve(size, owner, c_inner, c_tri, max_leaf, measure, *subsets)
@@ -487,7 +495,8 @@ def nodes_above(root, least, left, right, count):
     ends = np.zeros(height[0] + 2 if end else 1, np.int64)
     for i in range(end):
         ends[height[i] + 1] += 1
-    ends = np.cumsum(ends)
+    for h in range(1, len(ends)):
+        ends[h] += ends[h - 1]
     nodes = np.empty(end, np.int32)
     for i in range(end):
         nodes[ends[height[i]]] = found[i]
@@ -561,20 +570,20 @@ def _compact(name, used, owner, left, right, box):
     return links, bounds, triangle
 
 
-def owners(triangle: I32, left: I32, reference: I32) -> I32 | None:
+def owners(triangle: I32, left: I32, reference: I32) -> I32:
     """Say whose parts the leaf nodes are.
 
     Returns
     -------
-    (2R - 1,) int32, or None
+    (2R - 1,) int32
         At a leaf node, the triangle if it is split, and ``~triangle`` if it is not. Further
         up, where :func:`join_small` has been, not negative wherever some part of a split
-        triangle is below. None if no triangle is split: compiled code without it counts
-        references, not triangles.
+        triangle is below. Empty if no triangle is split: compiled code then counts references,
+        not triangles.
     """
     times = np.bincount(triangle)
     if times.max() == 1:
-        return None
+        return _NONE_SPLIT
     value = np.where(times[triangle] > 1, triangle, ~triangle)
     return np.where(left < 0, value[reference], np.int32(-1))
 
@@ -620,8 +629,10 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
     left, right, reference, count, box = depth_first(draft)
     cost = subtree_costs(left, right, box, count, *costs)
     nodes = Nodes(left, right, box, count, cost)
-    owner = owners(draft.references.triangle, left, reference) if options.rounds else None
-    if owner is not None:
+    owner = _NONE_SPLIT
+    if options.rounds:
+        owner = owners(draft.references.triangle, left, reference)
+    if len(owner) > 0:
         join_small(owner, nodes, costs)
     # A scene of fewer triangles is a smaller treelet.
     size = min(options.size, int(count[0]))
@@ -648,7 +659,7 @@ def rearrange(draft: Draft, options: RearrangeOptions, context: Context) -> Draf
             rebuilt += _improve_all(top[begin:], ends - begin, *arrays)
             begin = ends[-1] if len(ends) else begin
         looked += len(top)
-    if owner is not None:
+    if len(owner) > 0:
         result = without_joined(draft.references.scale, owner, left, right, box)
     else:
         result = Draft(draft.references, left, right, reference)

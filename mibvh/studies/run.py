@@ -20,6 +20,7 @@ from mibvh.code import code_digest
 from mibvh.errors import MibvhError, did_you_mean
 from mibvh.files import file_name, write_text
 from mibvh.scene import load
+from mibvh.studies.ahead import compiled_ahead
 from mibvh.studies.analyse.depth import depth_table
 from mibvh.studies.analyse.rotation import rotation_factors
 from mibvh.studies.analyse.sensitivity import sensitivity_table
@@ -261,11 +262,20 @@ def _study_here(
     sources: Sequence[Source], options: StudyOptions, store: Store, listener: Listener
 ) -> Iterator[SceneRecord | MibvhError]:
     """Study the scenes one after the other on this machine."""
-    for source in sources:
-        try:
-            yield study_scene(load(source.scene), options, store, listener, source.given())
-        except MibvhError as error:
-            yield error
+    chosen = [one.builder for one in parse_all(options.builders or ())]
+
+    def say(part: str) -> None:
+        builder = part if part in names() else None
+        listener(Progress(sources[0].name, "", "compiling", builder, 0.0))
+
+    with compiled_ahead(chosen, say) as compile_all:
+        for source in sources:
+            try:
+                scene = load(source.scene)
+                compile_all()
+                yield study_scene(scene, options, store, listener, source.given())
+            except MibvhError as error:
+                yield error
 
 
 def _listener(progress: Callable[..., None] | None) -> Listener:

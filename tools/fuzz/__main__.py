@@ -11,6 +11,7 @@ became of the case, or raises.
 
 from __future__ import annotations
 
+import argparse
 import collections
 import importlib
 import os
@@ -31,9 +32,11 @@ PARTS = {
     "pieces": "tools.fuzz.pieces:Pieces",
     "kills": "tools.fuzz.kills:Kills",
 }
-#: A case that is not done after so many seconds hangs; the first one compiles. Cases of these
-#: parts are whole studies.
-PATIENCE, FIRST_PATIENCE, STUDIES = 30.0, 600.0, {"pieces": 300.0, "kills": 600.0}
+#: A case that is not done after so many seconds hangs; the first one compiles.
+PATIENCE, FIRST_PATIENCE = 30.0, 600.0
+#: So do later cases of these parts, when they first meet a builder or a style of traversal; or they
+#: are whole studies.
+LONG = {"files": 300.0, "imports": 300.0, "soups": 300.0, "pieces": 300.0, "kills": 600.0}
 #: Faults of one part after which it ends.
 MOST_FAULTS = 20
 
@@ -101,7 +104,7 @@ def fuzz(part: str, first: int, seconds: float, cases: int) -> tuple[dict[str, i
         except queue.Empty:
             faults.append(f"{part} seed {seed}: takes longer than {patience:g} s")
         else:
-            patience = STUDIES.get(part, PATIENCE)
+            patience = LONG.get(part, PATIENCE)
             if line is not None:
                 _, number, outcome = line.rstrip("\n").split(" ", 2)
                 seed = int(number) + 1
@@ -120,11 +123,27 @@ def fuzz(part: str, first: int, seconds: float, cases: int) -> tuple[dict[str, i
     return dict(counts), faults
 
 
+def _parts(words: list[str]) -> list[str]:
+    """Parts that a command asks for; ends it where there is no such part, or help is wanted."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.fuzz",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
+    parts = parser.parse_args(words).parts
+    # A module's path and a class, as in PARTS, is a part of one's own.
+    unknown = [part for part in parts if part not in PARTS and ":" not in part]
+    if unknown:
+        parser.error(f"there is no part {unknown[0]!r}; there are: {', '.join(PARTS)}")
+    return parts or list(PARTS)
+
+
 def main() -> int:
     """Run the parts asked for, or all, in turn."""
     if sys.argv[1:2] == ["--work"]:
         work(sys.argv[2], int(sys.argv[3]))
-    parts = sys.argv[1:] or list(PARTS)
+    parts = _parts(sys.argv[1:])
     first = int(os.environ.get("FUZZ_SEED", "0"))
     most = os.environ.get("FUZZ_CASES")
     seconds = float("inf") if most else float(os.environ.get("FUZZ_SECONDS", "60")) / len(parts)

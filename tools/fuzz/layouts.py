@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 import mibvh
-from mibvh.layouts import LAYOUTS
+from mibvh.layouts import LAYOUTS, get
 from tools.fuzz.files import Bench, same
 from tools.fuzz.mutate import damaged
 
 
 class Imports(Bench):
-    """The trees of the bench, in the layouts of other programs."""
+    """The trees of the bench, in the layouts of other programs; wide ones where it takes such."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -19,7 +19,9 @@ class Imports(Bench):
         self.foreign = []
         for tree in self.trees.values():
             for layout in LAYOUTS:
-                mibvh.write_tree(tree, self.path, layout)
+                width = getattr(get(layout), "width", 2)
+                fitting = tree if width == 2 else mibvh.collapse(tree, width)
+                mibvh.write_tree(fitting, self.path, layout)
                 self.foreign.append((layout, self.path.read_bytes()))
 
     def run(self, seed: int) -> str:
@@ -30,7 +32,8 @@ class Imports(Bench):
         try:
             tree = mibvh.read_tree(self.path, layout)
             mibvh.epo(tree, self.triangles)
-            hits = self.trace(tree, self.rays)
+            style = "wide" if isinstance(tree, mibvh.WideTree) else "single"
+            hits = self.trace(tree, self.rays, style)
         except mibvh.MibvhError:
             return f"{layout} refused"
         same("hits", hits.t, self.truth.t)
