@@ -14,7 +14,7 @@ from mibvh.builders.registry import Context
 from mibvh.errors import MibvhError
 from mibvh.measures import Area, Flux, Segments
 from mibvh.measures.boxes import of_boxes
-from mibvh.measures.tables import touched
+from mibvh.measures.lookup import touched
 from mibvh.measures.walk import counted_cost, cut_at_hits, walk
 
 ARRAYS = ("lower", "upper", "left", "first", "count", "references")

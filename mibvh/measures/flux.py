@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from mibvh.errors import MibvhError
+from mibvh.measures.lookup import FluxTables
 from mibvh.measures.segments import Segments
-from mibvh.measures.tables import FluxTables, box_area, lookup_of, summed_tables
+from mibvh.measures.tables import box_area, lookup_of, summed_tables
 from mibvh.triangles import F32, F64
 
 #: Counts beyond this would not be exact in float32.
@@ -38,7 +39,7 @@ class Flux:
         Cut where they hit; at most four millions.
     planes : int
         Per axis, about: they are quantiles of the starts, two around each floor or wall, and two
-        outside. Memory is 32 bytes times the third power.
+        outside. Memory is 64 bytes times the third power.
     area_weight : float
         Weight of the area. It tells boxes apart that no ray touches, and is a guard against
         rays that are not in the set.
@@ -98,7 +99,7 @@ class Flux:
     def compiled(self, scale: float = 1.0) -> Any:
         """Return what kernels take; see :meth:`Measure.compiled`."""
         planes = (self.plane_positions.astype(np.float64) * scale).astype(np.float32)
-        cells, lookup = lookup_of(planes)
+        cells, lookup, above = lookup_of(planes)
         inverse = np.ones_like(planes)
         apart = np.diff(planes.astype(np.float64), axis=1)
         inverse[:, :-1] = 1.0 / np.maximum(apart, 1e-38)
@@ -107,6 +108,7 @@ class Flux:
         return FluxTables(
             self._table,
             planes.reshape(-1),
+            above,
             inverse.reshape(-1),
             cells,
             lookup,
