@@ -132,6 +132,10 @@ def test_the_whole_is_touched_by_all_and_nothing_by_none():
     tables = flux.compiled(1.0)
     assert touched(tables, *np.float32([-1, -1, -1, 4, 4, 4])) == len(flux.rays)
     assert touched(tables, *np.float32([5, 5, 5, 6, 6, 6])) == 0
+    # Sides without a reference are infinite, and must not lead out of the tables.
+    everywhere = np.float32([-np.inf, -np.inf, -np.inf, np.inf, np.inf, np.inf])
+    assert touched(tables, *everywhere) == len(flux.rays)
+    assert touched(tables, *-everywhere) == 0
     whole = 3 * 1 + 1 * 2 + 2 * 3
     box = np.float32([[0, 0, 0, 3, 1, 2]])
     assert of_boxes(tables, box)[0] == pytest.approx(0.5 * whole + whole, rel=2e-3)

@@ -16,8 +16,7 @@ from mibvh.triangles import F32, F64
 
 #: Counts beyond this would not be exact in float32.
 MAX_SEGMENTS = 4_000_000
-#: Half the distance, in diagonals, of the two planes that a floor or a wall stands between:
-#: twice what origins of rays are backed off by.
+#: Starts within this share of the diagonal are on one floor or wall.
 _BRACKET = 2e-5
 #: A coordinate is that of a floor or a wall where so many quantiles in a row lie within a bracket.
 _ATOM = 2
@@ -126,8 +125,21 @@ def _lengthened(row: F32, count: int) -> F32:
     return np.array(out, np.float32)
 
 
+def _just_around(low: float, high: float, step: float) -> list[float]:
+    """Two planes around an interval, the next that float32 has or a step away."""
+    inf = np.float32(np.inf)
+    return [
+        min(float(np.nextafter(np.float32(low), -inf)), low - step),
+        max(float(np.nextafter(np.float32(high), inf)), high + step),
+    ]
+
+
 def _planes_of_axis(starts: F32, low: float, high: float, count: int, reach: float) -> F32:
-    """Planes on one axis: quantiles of the starts, and two around what many starts share."""
+    """Planes on one axis: quantiles of the starts, and two around what many starts share.
+
+    As near as float32 has them: a floor is a hair's breadth below the starts on it, and its box
+    is to hold none of them.
+    """
     sorted_starts = np.sort(starts).astype(np.float64)
     places = np.linspace(0, len(starts) - 1, count).round().astype(np.int64)
     quantiles = sorted_starts[places]
@@ -136,7 +148,9 @@ def _planes_of_axis(starts: F32, low: float, high: float, count: int, reach: flo
     planes = []
     for members in np.split(quantiles, np.flatnonzero(np.diff(run)) + 1):
         if len(members) >= _ATOM:
-            planes += [members[0] - reach, members[-1] + reach]
+            first = np.searchsorted(sorted_starts, members[0] - reach)
+            last = np.searchsorted(sorted_starts, members[-1] + reach, side="right") - 1
+            planes += _just_around(sorted_starts[first], sorted_starts[last], 1e-6 * reach)
         else:
             planes.append(members[0])
     # Planes that leave nothing outside, by more than float32 rounds.

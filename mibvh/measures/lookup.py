@@ -33,7 +33,7 @@ class FluxTables(NamedTuple):
     planes : (3 * P,) float32
         In builder units, rising along each axis.
     above : (3 * P,) float32
-        The next plane; inf for the last but one, as coordinates beyond the last stay below it.
+        The next plane; for the last two NaN, which no coordinate is above, not even infinity.
     inverse : (3 * P,) float32
         One over the distance to the next plane.
     cells : (3 * CELLS,) int32

@@ -167,7 +167,7 @@ def lookup_of(planes: F32) -> tuple[I32, F32, F32]:
         begins = origin[axis] + (np.arange(CELLS) - _ROUNDED) * (width[axis] / CELLS)
         below = np.searchsorted(planes[axis].astype(np.float64), begins, side="right") - 1
         cells[axis] = np.clip(below, 0, count - 2) + axis * count
-    above = np.full_like(planes, np.inf)
+    above = np.full_like(planes, np.nan)
     above[:, : count - 2] = planes[:, 1 : count - 1]
     return cells.reshape(-1), lookup, above.reshape(-1)
 
