@@ -263,6 +263,28 @@ def test_segments_end_where_rays_do(split_tree, cornell):
     assert cost == pytest.approx(hits.counted_cost(), rel=0.01)
 
 
+@pytest.mark.parametrize("kind", ["ao", "shadow"])
+def test_any_hit_walk_counts_what_the_kernel_counts(split_tree, cornell, kind):
+    tree, _ = split_tree
+    rays = mibvh.make_rays(cornell, kind, width=24, height=18, samples=1)
+    t, visits = walk(tree, cornell.triangles, rays.o, rays.d, rays.tmax, any_hit=True)
+    hits = mibvh.trace(tree, cornell, rays, repeats=1)
+    found = np.isfinite(t)
+    assert found.any()
+    # Rounding may tell a hit on an edge from a miss.
+    assert (found != (hits.triangle >= 0)).mean() < 0.01
+    cost = (visits * [1.2, 1.0]).sum(axis=1).mean()
+    assert cost == pytest.approx(hits.counted_cost(), rel=0.01)
+    closest, more = walk(tree, cornell.triangles, rays.o, rays.d, rays.tmax)
+    assert (t[found] >= closest[found]).all()
+    assert visits.sum() < more.sum()
+    arrays = rays.o, rays.d, rays.tmax, rays.viewpoint
+    whole = cut_at_hits(tree, cornell.triangles, *arrays, any_hit=True)
+    assert whole.select(slice(5)).any_hit
+    ratio = counted_cost(tree, cornell.triangles, whole, 1.2, 1.0) / cost
+    assert ratio == pytest.approx(1.0, rel=0.01)
+
+
 def test_rays_that_are_no_numbers_make_no_segments(split_tree, cornell):
     tree, rays = split_tree
     o = rays.o.copy()

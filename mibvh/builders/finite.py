@@ -32,7 +32,7 @@ import numpy as np
 from mibvh.builders.draft import Draft
 from mibvh.builders.finish import draft_sah, finish
 from mibvh.builders.insertion import InsertionOptions, moved, reinserted
-from mibvh.builders.registry import Context, Options, builder, option
+from mibvh.builders.registry import Context, Options, builder, get, option
 from mibvh.builders.resplit import Resplitter, Rules
 from mibvh.errors import MibvhError
 from mibvh.files import read_arrays
@@ -47,13 +47,15 @@ _FOLDS = 4
 #: Rays between surfaces begin this share of the diagonal off them.
 _OFF = 1e-5
 
+#: Planes per axis that `sbvh` by flux chooses from: those of 128 gain nothing after insertion.
+_BINS = 48
 #: References that splitting is tried on, per triangle: those of greatest measure.
 _TRIALS = 0.2
 
 #: What a ray file holds.
 _ARRAYS = ("o", "d", "tmax", "viewpoint", "bounce", "source")
-#: Origins, directions, greatest distances and viewpoints of rays.
-_Rays = tuple[F32, F32, F32, I32]
+#: Origins, directions, greatest distances and viewpoints of rays, and whether any hit ends them.
+_Rays = tuple[F32, F32, F32, I32, bool]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -61,6 +63,9 @@ class FiniteOptions(Options):
     """Options of `finite`."""
 
     rays: str = option("", "ray file to build for, instead of rays of the scene's cameras")
+    kind: str = option(
+        "diffuse", "kind of the rays from the scene's cameras: diffuse, bounce2, shadow, ao, ..."
+    )
     count: int = option(
         30_000,
         "rays that the tree is built for; more is slower, and a little better",
@@ -108,6 +113,7 @@ def surface_rays(triangles: Triangles, count: int, seed: int) -> _Rays:
         d.astype(np.float32),
         np.full(count, np.inf, np.float32),
         np.zeros(count, np.int32),
+        False,
     )
 
 
@@ -123,12 +129,12 @@ def training_rays(
             )
         step = max(1, -(-len(arrays["o"]) // options.count))
         o, d, tmax, viewpoint = (arrays[name][::step] for name in _ARRAYS[:4])
-        return (o, d, tmax, viewpoint), f"rays of {options.rays}"
+        return (o, d, tmax, viewpoint, bool(meta.get("occlusion"))), f"rays of {options.rays}"
     trace = getattr(context.source, "few_rays", None)
     if trace is not None:
-        rays = trace(options.count, options.seed)
-        said = f"diffuse rays of {len(np.unique(rays.viewpoint))} viewpoints"
-        return (rays.o, rays.d, rays.tmax, rays.viewpoint), said
+        rays = trace(options.count, options.seed, options.kind)
+        said = f"{options.kind} rays of {len(np.unique(rays.viewpoint))} viewpoints"
+        return (rays.o, rays.d, rays.tmax, rays.viewpoint, rays.occlusion), said
     said = (
         "rays between surfaces, as there is no scene with cameras: worth hardly more than the "
         "area; hand the scene to the build"
@@ -167,10 +173,12 @@ class _Search:
     ) -> tuple[Draft, dict[str, Any]]:
         """Find the best tree by a measure, and say how it came about."""
         context = dataclasses.replace(self.context, measure=measure)
-        flux = context.start(self.triangles, "sbvh", options)
+        sbvh = get("sbvh")
+        fewer = dataclasses.replace(sbvh.start_options(options), bins=_BINS)
+        flux = sbvh.draft(self.triangles, fewer, context)
+        report: dict[str, Any] = {"start": "flux", "split": 0, "merged": 0}
         if options.effort == 1:
             draft = self._moved(flux, self.insertion, context)
-            report = {"start": "flux", "split": 0, "merged": 0}
             return draft, {**report, "cost": self.cost(draft, segments)}
         drafts = {
             name: self._moved(start, self.roughly, context)
@@ -179,7 +187,7 @@ class _Search:
         costs = {name: self.cost(draft, segments) for name, draft in drafts.items()}
         chosen = min(costs, key=costs.__getitem__)
         draft, cost = drafts[chosen], costs[chosen]
-        report: dict[str, Any] = {"start": chosen, "split": 0, "merged": 0}
+        report["start"] = chosen
         for _ in range(options.effort - 1):
             tried, splits, merges = self._resplit(draft, context)
             tried_cost = self.cost(tried, segments)
