@@ -1,7 +1,7 @@
 """What trees for traced rays gain in counted cost, and what each part of them is worth.
 
-    python benchmarks/better_trees.py SCENE... [--table gains|ablations|unseen|vain|later
-                                              |wide|times]
+    python benchmarks/better_trees.py SCENE... [--table gains|ablations|unseen|vain|anyhit
+                                              |later|wide|times]
                                       [--trees DIR] [--size 160x120] [--kept DIR] [-o TABLE.md]
 
 SCENE is whatever `mibvh build` takes. Trees are measured on rays that no builder saw: of another
@@ -16,6 +16,8 @@ there and the version, SCENE and --size are the same.
 - ablations: `finite` with each part left out or exchanged.
 - unseen: built for every other camera, measured on those left out, and the other way round.
 - vain: segments prolonged beyond their hits, as the traversal visits nodes there in vain.
+- anyhit: shadow and ambient-occlusion rays, in trees for diffuse rays and for rays of their kind,
+  relative to `bittner` from `sbvh` by area; binary, wide, and wide with children by `worth`.
 - later: the builders that came after the paper.
 - wide: nodes of eight children, collapsed by area and by the rays' measure; relative to `sbvh`
   collapsed by area.
@@ -227,6 +229,38 @@ def vain(bench: Bench) -> Row:
     return row
 
 
+def anyhit(bench: Bench) -> Row:
+    """Rays that any hit ends, in trees by area, for diffuse rays and for rays of their kind."""
+    trees: dict[str, Tree] = {
+        "area": mibvh.build(bench.scene, "bittner", start="sbvh"),
+        "diffuse": mibvh.build(bench.scene, "finite"),
+    }
+    row: Row = {}
+    for kind in ("shadow", "ao"):
+        size = {"width": bench.rays.meta["width"], "height": bench.rays.meta["height"]}
+        rays = mibvh.make_rays(bench.scene, kind, **size, samples=1, seed=SEED)
+        trees["its kind"] = mibvh.build(bench.scene, "finite", kind=kind)
+        found = {label: _any_hit_costs(bench, tree, rays) for label, tree in trees.items()}
+        # All in terms of the binary area tree, and of the wide one, near first.
+        for label, (single, near, worth) in found.items():
+            whole, wide = found["area"][:2]
+            if label != "area":
+                row[f"{kind}: {label}"] = single / whole
+                row[f"{kind}, wide: {label}"] = near / wide
+            row[f"{kind}, wide, worth: {label}"] = worth / wide
+    return row
+
+
+def _any_hit_costs(bench: Bench, tree: Tree, rays: Any) -> tuple[float, float, float]:
+    """Counted cost: binary, wide near first, and wide in the order of worth."""
+    scene = bench.scene
+    return (
+        mibvh.trace(tree, scene, rays, repeats=1).counted_cost(),
+        mibvh.trace(tree, scene, rays, style="wide", repeats=1).counted_cost(),
+        mibvh.trace(tree, scene, rays, child_order="worth", repeats=1).counted_cost(),
+    )
+
+
 def later(bench: Bench) -> Row:
     """The builders that came after the paper."""
     return {name: bench.cost(mibvh.build(bench.scene, name)) for name in later_names()}
@@ -278,7 +312,8 @@ def times(bench: Bench) -> Row:
 
 
 TABLES: dict[str, Callable[[Bench], Row]] = {
-    function.__name__: function for function in (gains, ablations, unseen, vain, later, wide, times)
+    function.__name__: function
+    for function in (gains, ablations, unseen, vain, anyhit, later, wide, times)
 }
 #: Tables that are relative to the best of the nine builders.
 _RELATIVE = ("gains", "ablations", "vain", "later")

@@ -86,14 +86,17 @@ class Scene:
         """The scene as Mitsuba renders it, instances included; None for a bare mesh."""
         return self.reload() if self.reload else self.original
 
-    def few_rays(self, count: int, seed: int) -> Any:
-        """Path-trace about so many diffuse rays, as many for each viewpoint.
+    def few_rays(self, count: int, seed: int, kind: str = "diffuse") -> Any:
+        """Path-trace about so many rays of a kind, as many for each viewpoint.
 
-        What the `finite` builder asks a scene for.
+        What the `finite` builder asks a scene for. Where a vertex may send none (``shadow``),
+        there are fewer.
 
         Parameters
         ----------
         count, seed : int
+        kind : str
+            As for :func:`mibvh.make_rays`.
 
         Returns
         -------
@@ -104,7 +107,7 @@ class Scene:
         pixels = max(1.0, count / len(self.sensors))
         height = max(1, round((pixels * 0.75) ** 0.5))
         width = max(1, round(pixels / height))
-        return mibvh.diffuse_rays(self, width=width, height=height, samples=1, seed=seed)
+        return mibvh.make_rays(self, kind, width=width, height=height, samples=1, seed=seed)
 
 
 def mitsuba_geometry(triangles: Triangles) -> Any:

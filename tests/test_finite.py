@@ -86,6 +86,18 @@ def test_training_rays_are_not_the_default_ones(scene):
     assert len(np.unique(both, axis=0)) == len(both)
 
 
+@pytest.mark.parametrize("kind", ["ao", "shadow"])
+def test_rays_that_any_hit_ends_cost_less_in_the_tree_for_them(scene, trees, kind):
+    tree = mibvh.build(scene, "finite", kind=kind, **FEW)
+    assert tree.meta["report"]["rays"].startswith(f"{kind} rays of")
+    assert tree.validate(scene.triangles) == []
+    rays = mibvh.make_rays(scene, kind, width=48, height=36, samples=2, seed=5)
+    assert rays.occlusion
+    assert cost(tree, scene, rays) < 0.97 * cost(trees["bittner"], scene, rays)
+    with pytest.raises(MibvhError, match="there is no kind of rays 'nothing'"):
+        mibvh.build(scene, "finite", kind="nothing", **FEW)
+
+
 @pytest.mark.parametrize("effort", [1, 3])
 def test_efforts(scene, held_out, effort, trees):
     tree = mibvh.build(scene, "finite", effort=effort, **FEW)

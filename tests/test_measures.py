@@ -14,7 +14,7 @@ from mibvh.builders.registry import Context
 from mibvh.errors import MibvhError
 from mibvh.measures import Area, Flux, Segments
 from mibvh.measures.boxes import of_boxes
-from mibvh.measures.tables import touched
+from mibvh.measures.lookup import touched
 from mibvh.measures.walk import counted_cost, cut_at_hits, walk
 
 ARRAYS = ("lower", "upper", "left", "first", "count", "references")
@@ -132,6 +132,10 @@ def test_the_whole_is_touched_by_all_and_nothing_by_none():
     tables = flux.compiled(1.0)
     assert touched(tables, *np.float32([-1, -1, -1, 4, 4, 4])) == len(flux.rays)
     assert touched(tables, *np.float32([5, 5, 5, 6, 6, 6])) == 0
+    # Sides without a reference are infinite, and must not lead out of the tables.
+    everywhere = np.float32([-np.inf, -np.inf, -np.inf, np.inf, np.inf, np.inf])
+    assert touched(tables, *everywhere) == len(flux.rays)
+    assert touched(tables, *-everywhere) == 0
     whole = 3 * 1 + 1 * 2 + 2 * 3
     box = np.float32([[0, 0, 0, 3, 1, 2]])
     assert of_boxes(tables, box)[0] == pytest.approx(0.5 * whole + whole, rel=2e-3)
@@ -257,6 +261,28 @@ def test_segments_end_where_rays_do(split_tree, cornell):
     assert np.isclose(length, hits.t, rtol=1e-3, atol=margin)[found].mean() > 0.995
     cost = counted_cost(tree, cornell.triangles, cut, 1.2, 1.0)
     assert cost == pytest.approx(hits.counted_cost(), rel=0.01)
+
+
+@pytest.mark.parametrize("kind", ["ao", "shadow"])
+def test_any_hit_walk_counts_what_the_kernel_counts(split_tree, cornell, kind):
+    tree, _ = split_tree
+    rays = mibvh.make_rays(cornell, kind, width=24, height=18, samples=1)
+    t, visits = walk(tree, cornell.triangles, rays.o, rays.d, rays.tmax, any_hit=True)
+    hits = mibvh.trace(tree, cornell, rays, repeats=1)
+    found = np.isfinite(t)
+    assert found.any()
+    # Rounding may tell a hit on an edge from a miss.
+    assert (found != (hits.triangle >= 0)).mean() < 0.01
+    cost = (visits * [1.2, 1.0]).sum(axis=1).mean()
+    assert cost == pytest.approx(hits.counted_cost(), rel=0.01)
+    closest, more = walk(tree, cornell.triangles, rays.o, rays.d, rays.tmax)
+    assert (t[found] >= closest[found]).all()
+    assert visits.sum() < more.sum()
+    arrays = rays.o, rays.d, rays.tmax, rays.viewpoint
+    whole = cut_at_hits(tree, cornell.triangles, *arrays, any_hit=True)
+    assert whole.select(slice(5)).any_hit
+    ratio = counted_cost(tree, cornell.triangles, whole, 1.2, 1.0) / cost
+    assert ratio == pytest.approx(1.0, rel=0.01)
 
 
 def test_rays_that_are_no_numbers_make_no_segments(split_tree, cornell):

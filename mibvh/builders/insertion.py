@@ -473,6 +473,35 @@ def bittner(triangles: Triangles, options: InsertionOptions, context: Context) -
     return draft
 
 
+def moved(start: Draft, options: InsertionOptions, context: Context) -> Draft:
+    """Move nodes of a draft until batches gain little: parameters as for :func:`reinserted`.
+
+    The sum of the inner nodes' measures never rises, but the SAH of the collapsed tree may.
+    """
+    state = _Optimiser(start, options, context.compiled_measure(start.references.scale))
+    best, best_rows, failures = state.cost, state.rows, 0
+    while failures < options.patience:
+        selected = state.select(failures >= options.random_after)
+        if len(selected) == 0:
+            break
+        if best_rows is state.rows and not options.undo:
+            best_rows = state.rows.copy()  # what follows may be worse
+        state.batch(selected, context)
+        failures += 1
+        if state.cost < best:
+            if state.cost < best * (1 - options.tolerance):
+                failures = 0
+            best, best_rows = state.cost, state.rows
+    context.progress("reinserting nodes", 1.0)
+    report = {
+        **start.report,
+        "iterations": state.batches,
+        "moves": state.moves,
+        "reinsertions": state.reinsertions,
+    }
+    return _draft_of(best_rows, start.references, report)
+
+
 def reinserted(start: Draft, options: InsertionOptions, context: Context) -> Draft:
     """Improve a draft by reinsertion.
 
@@ -496,30 +525,10 @@ def reinserted(start: Draft, options: InsertionOptions, context: Context) -> Dra
         "measure": measure,
     }
     start_sah = draft_sah(start, **common)
-    state = _Optimiser(start, options, measure)
-    best, best_rows, failures = state.cost, state.rows, 0
-    while failures < options.patience:
-        selected = state.select(failures >= options.random_after)
-        if len(selected) == 0:
-            break
-        if best_rows is state.rows and not options.undo:
-            best_rows = state.rows.copy()  # what follows may be worse
-        state.batch(selected, context)
-        failures += 1
-        if state.cost < best:
-            if state.cost < best * (1 - options.tolerance):
-                failures = 0
-            best, best_rows = state.cost, state.rows
-    context.progress("reinserting nodes", 1.0)
-    report = {
-        **start.report,
-        "start_sah": start_sah,
-        "end_sah": start_sah,
-        "iterations": state.batches,
-        "moves": state.moves,
-        "reinsertions": state.reinsertions,
-    }
-    draft = _draft_of(best_rows, start.references, report)
+    draft = moved(start, options, context)
+    # Python keeps a key where it first came.
+    report = {**start.report, "start_sah": start_sah, "end_sah": start_sah, **draft.report}
+    draft = dataclasses.replace(draft, report=report)
     report["end_sah"] = draft_sah(draft, **common)
     if report["end_sah"] > start_sah:
         report["end_sah"] = start_sah

@@ -16,7 +16,7 @@ from numba import types
 from numba.extending import overload
 
 from mibvh._jit import njit
-from mibvh.measures.tables import FluxTables, touched_share
+from mibvh.measures.lookup import FluxTables, touched_share
 
 
 def _other(measure: Any, x0: Any, y0: Any, z0: Any, x1: Any, y1: Any, z1: Any) -> Any:

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from mibvh.errors import MibvhError
+from mibvh.measures.lookup import FluxTables
 from mibvh.measures.segments import Segments
-from mibvh.measures.tables import FluxTables, box_area, lookup_of, summed_tables
+from mibvh.measures.tables import box_area, lookup_of, summed_tables
 from mibvh.triangles import F32, F64
 
 #: Counts beyond this would not be exact in float32.
 MAX_SEGMENTS = 4_000_000
-#: Half the distance, in diagonals, of the two planes that a floor or a wall stands between:
-#: twice what origins of rays are backed off by.
+#: Starts within this share of the diagonal are on one floor or wall.
 _BRACKET = 2e-5
 #: A coordinate is that of a floor or a wall where so many quantiles in a row lie within a bracket.
 _ATOM = 2
@@ -38,7 +38,7 @@ class Flux:
         Cut where they hit; at most four millions.
     planes : int
         Per axis, about: they are quantiles of the starts, two around each floor or wall, and two
-        outside. Memory is 32 bytes times the third power.
+        outside. Memory is 64 bytes times the third power.
     area_weight : float
         Weight of the area. It tells boxes apart that no ray touches, and is a guard against
         rays that are not in the set.
@@ -98,7 +98,7 @@ class Flux:
     def compiled(self, scale: float = 1.0) -> Any:
         """Return what kernels take; see :meth:`Measure.compiled`."""
         planes = (self.plane_positions.astype(np.float64) * scale).astype(np.float32)
-        cells, lookup = lookup_of(planes)
+        cells, lookup, above = lookup_of(planes)
         inverse = np.ones_like(planes)
         apart = np.diff(planes.astype(np.float64), axis=1)
         inverse[:, :-1] = 1.0 / np.maximum(apart, 1e-38)
@@ -107,6 +107,7 @@ class Flux:
         return FluxTables(
             self._table,
             planes.reshape(-1),
+            above,
             inverse.reshape(-1),
             cells,
             lookup,
@@ -124,8 +125,21 @@ def _lengthened(row: F32, count: int) -> F32:
     return np.array(out, np.float32)
 
 
+def _just_around(low: float, high: float, step: float) -> list[float]:
+    """Two planes around an interval, the next that float32 has or a step away."""
+    inf = np.float32(np.inf)
+    return [
+        min(float(np.nextafter(np.float32(low), -inf)), low - step),
+        max(float(np.nextafter(np.float32(high), inf)), high + step),
+    ]
+
+
 def _planes_of_axis(starts: F32, low: float, high: float, count: int, reach: float) -> F32:
-    """Planes on one axis: quantiles of the starts, and two around what many starts share."""
+    """Planes on one axis: quantiles of the starts, and two around what many starts share.
+
+    As near as float32 has them: a floor is a hair's breadth below the starts on it, and its box
+    is to hold none of them.
+    """
     sorted_starts = np.sort(starts).astype(np.float64)
     places = np.linspace(0, len(starts) - 1, count).round().astype(np.int64)
     quantiles = sorted_starts[places]
@@ -134,7 +148,9 @@ def _planes_of_axis(starts: F32, low: float, high: float, count: int, reach: flo
     planes = []
     for members in np.split(quantiles, np.flatnonzero(np.diff(run)) + 1):
         if len(members) >= _ATOM:
-            planes += [members[0] - reach, members[-1] + reach]
+            first = np.searchsorted(sorted_starts, members[0] - reach)
+            last = np.searchsorted(sorted_starts, members[-1] + reach, side="right") - 1
+            planes += _just_around(sorted_starts[first], sorted_starts[last], 1e-6 * reach)
         else:
             planes.append(members[0])
     # Planes that leave nothing outside, by more than float32 rounds.

@@ -13,7 +13,7 @@ from mibvh.triangles import F32, I32
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Segments:
-    """Rays from their start to their hit.
+    """Rays from their start to their hit, or to where they would end if nothing stopped them.
 
     Attributes
     ----------
@@ -21,6 +21,8 @@ class Segments:
         In scene units.
     viewpoint : (R,) int32
         The camera that the ray's path began at; 0 where there is none.
+    any_hit : bool
+        Whether the first hit that is found ends a ray. Such segments are not cut.
 
     Raises
     ------
@@ -31,6 +33,7 @@ class Segments:
     start: F32
     end: F32
     viewpoint: I32
+    any_hit: bool = False
 
     def __post_init__(self) -> None:
         if self.start.ndim != 2 or self.start.shape[1:] != (3,):
@@ -52,4 +55,9 @@ class Segments:
         ----------
         chosen : index array, boolean mask or slice
         """
-        return Segments(self.start[chosen], self.end[chosen], self.viewpoint[chosen])
+        return dataclasses.replace(
+            self,
+            start=self.start[chosen],
+            end=self.end[chosen],
+            viewpoint=self.viewpoint[chosen],
+        )

@@ -15,7 +15,7 @@ where ``s`` is -1 at the lower and +1 at the upper side of an axis, ``S`` counts
 the corner on all axes, and ``E_x(lower)`` (``E_x(upper)``) the segments that cross the plane at
 the corner towards positive (negative) x with the other two coordinates below it. Eight tables of
 one number each, side by side: a query reads eight times eight of them, where the seven tables
-would take 256.
+would take 256 (:mod:`mibvh.measures.lookup`).
 
 Between planes, each coordinate is interpolated linearly. The result is the mean, over the boxes
 that come of moving each face to the plane below or above it, of exact counts, and so lies
@@ -24,121 +24,15 @@ between the counts of the box inside and the box outside whose faces are on plan
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
 from mibvh._jit import njit
-from mibvh.triangles import F32, F64
+from mibvh.measures.lookup import CELLS
+from mibvh.triangles import F32, F64, I32
 
-#: Cells per axis of the lookup from a coordinate to the plane below it.
-CELLS = 4096
-
-
-class FluxTables(NamedTuple):
-    """What the compiled measure reads.
-
-    Attributes
-    ----------
-    table : (P * P * P * 8,) float32
-        ``T_c`` at each crossing of three planes; whole numbers.
-    planes : (3 * P,) float32
-        In builder units, rising along each axis.
-    inverse : (3 * P,) float32
-        One over the distance to the next plane.
-    cells : (3 * CELLS,) int32
-        The last plane at or below the beginning of each cell of equal size; 0 for the first.
-    lookup : (6,) float32
-        Origin of the cells of each axis, and cells per unit.
-    per_axis : int
-        P.
-    area_weight, share_weight : float
-        The measure is the first times half the area plus the second times the number of
-        segments that touch the box.
-    """
-
-    table: F32
-    planes: F32
-    inverse: F32
-    cells: Any
-    lookup: F32
-    per_axis: int
-    area_weight: float
-    share_weight: float
-
-
-@njit(allocates=False)
-def _plane_below(tables, axis, value):
-    """Last plane at or below a coordinate, but the last of all, and how far it is to the next."""
-    count = tables.per_axis
-    at = (value - tables.lookup[axis]) * tables.lookup[axis + 3]
-    cell = np.int64(min(max(at, np.float32(0)), np.float32(CELLS - 1)))
-    plane = np.int64(tables.cells[axis * CELLS + cell])
-    first = axis * count
-    while plane < count - 2 and tables.planes[first + plane + 1] <= value:
-        plane += 1
-    # A rounding may have put the coordinate into the next cell.
-    while plane > 0 and tables.planes[first + plane] > value:
-        plane -= 1
-    beyond = np.float64(value) - np.float64(tables.planes[first + plane])
-    share = beyond * tables.inverse[first + plane]
-    return plane, min(max(share, 0.0), 1.0)
-
-
-@njit(allocates=False)
-def _along_z(table, row, w):
-    low = np.float64(table[row])
-    return low + w * (np.float64(table[row + np.uint64(8)]) - low)
-
-
-@njit(allocates=False)
-def _at_corner(table, row, step_x, step_y, u, v, w):
-    """Interpolate one table between eight crossings."""
-    a = _along_z(table, row, w)
-    b = _along_z(table, row + step_y, w)
-    c = _along_z(table, row + step_x, w)
-    d = _along_z(table, row + step_x + step_y, w)
-    low = a + v * (b - a)
-    return low + u * (c + v * (d - c) - low)
-
-
-@njit(allocates=False)
-def touched(tables, x0, y0, z0, x1, y1, z1):
-    """Count the segments that touch a box; float64, interpolated between planes."""
-    i0, u0 = _plane_below(tables, 0, x0)
-    i1, u1 = _plane_below(tables, 0, x1)
-    j0, v0 = _plane_below(tables, 1, y0)
-    j1, v1 = _plane_below(tables, 1, y1)
-    k0, w0 = _plane_below(tables, 2, z0)
-    k1, w1 = _plane_below(tables, 2, z1)
-    table = tables.table
-    step_y = np.uint64(8 * tables.per_axis)
-    step_x = step_y * np.uint64(tables.per_axis)
-    x_low, x_high = np.uint64(i0) * step_x, np.uint64(i1) * step_x
-    y_low, y_high = np.uint64(j0) * step_y, np.uint64(j1) * step_y
-    z_low, z_high = np.uint64(8 * k0), np.uint64(8 * k1)
-    total = _at_corner(table, x_low + y_low + z_low, step_x, step_y, u0, v0, w0)
-    total += _at_corner(table, x_low + y_low + z_high + np.uint64(1), step_x, step_y, u0, v0, w1)
-    total += _at_corner(table, x_low + y_high + z_low + np.uint64(2), step_x, step_y, u0, v1, w0)
-    total += _at_corner(table, x_low + y_high + z_high + np.uint64(3), step_x, step_y, u0, v1, w1)
-    total += _at_corner(table, x_high + y_low + z_low + np.uint64(4), step_x, step_y, u1, v0, w0)
-    total += _at_corner(table, x_high + y_low + z_high + np.uint64(5), step_x, step_y, u1, v0, w1)
-    total += _at_corner(table, x_high + y_high + z_low + np.uint64(6), step_x, step_y, u1, v1, w0)
-    total += _at_corner(table, x_high + y_high + z_high + np.uint64(7), step_x, step_y, u1, v1, w1)
-    return max(total, 0.0)
-
-
-@njit(allocates=False)
-def touched_share(tables, x0, y0, z0, x1, y1, z1):
-    """Measure of a box: weighted half area plus weighted count of segments that touch it."""
-    x = np.float64(x1) - np.float64(x0)
-    y = np.float64(y1) - np.float64(y0)
-    z = np.float64(z1) - np.float64(z0)
-    area = x * y + (x + y) * z
-    return tables.area_weight * area + tables.share_weight * touched(tables, x0, y0, z0, x1, y1, z1)
-
-
-# ------------------------------------------------------------------ making them
+#: What rounding moves a coordinate by at most, in cells: three times half a step of float32, of
+#: CELLS, is a third of it.
+_ROUNDED = 2e-3
 
 
 @njit(allocates=False)
@@ -152,6 +46,16 @@ def _not_below(planes, value):
         else:
             high = middle
     return low
+
+
+@njit(allocates=False)
+def _walked(planes, value, at):
+    """Find what :func:`_not_below` does, from a place nearby."""
+    while at < len(planes) and planes[at] < value:
+        at += 1
+    while at > 0 and not planes[at - 1] < value:
+        at -= 1
+    return at
 
 
 @njit
@@ -172,7 +76,7 @@ def _count_crossings(planes, start, end, axis, counts):
     x, y and z: the crossed one, and the first not below the crossing on the other two axes.
     """
     b, c = (axis + 1) % 3, (axis + 2) % 3
-    place = np.empty(3, np.int64)
+    place = np.zeros(3, np.int64)
     for r in range(len(start)):
         first = _not_below(planes[axis], start[r, axis])
         last = _not_below(planes[axis], end[r, axis])
@@ -184,9 +88,33 @@ def _count_crossings(planes, start, end, axis, counts):
         for p in range(min(first, last), max(first, last)):
             along = np.float64(planes[axis, p]) - x
             place[axis] = p
-            place[b] = _not_below(planes[b], y + along * slope_y)
-            place[c] = _not_below(planes[c], z + along * slope_z)
+            place[b] = _walked(planes[b], y + along * slope_y, place[b])
+            place[c] = _walked(planes[c], z + along * slope_z, place[c])
             counts[side, place[0], place[1], place[2]] += 1
+
+
+@njit
+def _add(lower, upper, signs, table):
+    """Add counts to the corners: of one table at lower sides of an axis, another at upper ones."""
+    size = len(lower)
+    for i in range(size):
+        for j in range(size):
+            for k in range(size):
+                for corner in range(8):
+                    count = lower[i, j, k] if signs[corner, 0] < 0 else upper[i, j, k]
+                    table[i, j, k, corner, 0] += np.float32(signs[corner, 1] * count)
+
+
+@njit
+def _pair(table):
+    """Put the number at the next plane on z beside each."""
+    size = len(table)
+    for i in range(size):
+        for j in range(size):
+            for k in range(size):
+                above = min(k + 1, size - 1)
+                for corner in range(8):
+                    table[i, j, k, corner, 1] = table[i, j, above, corner, 0]
 
 
 def summed_tables(planes: F32, start: F32, end: F32) -> F32:
@@ -201,42 +129,47 @@ def summed_tables(planes: F32, start: F32, end: F32) -> F32:
 
     Returns
     -------
-    (P * P * P * 8,) float32
-        Whole numbers. A start on a plane counts as below it.
+    (P * P * P * 16,) float32
+        Whole numbers: for each corner of a box the one at this crossing of planes, and that at
+        the next plane on z. A start on a plane counts as below it.
     """
     size = planes.shape[1]
-    table = np.zeros((size, size, size, 8), np.float32)
+    table = np.zeros((size, size, size, 8, 2), np.float32)
     signs = 2 * ((np.arange(8)[:, None] >> np.array([2, 1, 0])) & 1) - 1  # (corner, axis)
-    counts = np.zeros((size, size, size), np.int32)
-    _count_starts(planes, start, counts)
+    starts = np.zeros((size, size, size), np.int32)
+    _count_starts(planes, start, starts)
     for axis in range(3):
-        np.cumsum(counts, axis=axis, out=counts)
-    for corner in range(8):
-        table[..., corner] = int(signs[corner].prod()) * counts
+        np.cumsum(starts, axis=axis, out=starts)
+    product = signs.prod(axis=1)
+    _add(starts, starts, np.stack([product, product], axis=1), table)
     for axis in range(3):
         crossings = np.zeros((2, size, size, size), np.int32)
         _count_crossings(planes, start, end, axis, crossings)
-        others = [k for k in range(3) if k != axis]
-        for k in others:
-            np.cumsum(crossings, axis=k + 1, out=crossings)
-        for corner in range(8):
-            # The lower face is entered towards the positive side.
-            side = 0 if signs[corner, axis] < 0 else 1
-            table[..., corner] += int(signs[corner, others].prod()) * crossings[side]
+        for k in range(3):
+            if k != axis:
+                np.cumsum(crossings, axis=k + 1, out=crossings)
+        # The lower face is entered towards the positive side.
+        side = signs[:, axis]
+        _add(crossings[0], crossings[1], np.stack([side, side * product], axis=1), table)
+    _pair(table)
     return table.reshape(-1)
 
 
-def lookup_of(planes: F32) -> tuple[np.ndarray, F32]:
-    """Make the lookup from coordinates to planes: ``cells`` and ``lookup`` of the tables."""
+def lookup_of(planes: F32) -> tuple[I32, F32, F32]:
+    """Make the lookup from coordinates to planes: ``cells``, ``lookup`` and ``above``."""
+    count = planes.shape[1]
     origin = planes[:, 0].astype(np.float64)
     width = np.maximum(planes[:, -1].astype(np.float64) - origin, 1e-30)
     lookup = np.concatenate([origin, CELLS / width]).astype(np.float32)
     cells = np.empty((3, CELLS), np.int32)
     for axis in range(3):
-        begins = origin[axis] + np.arange(CELLS) * (width[axis] / CELLS)
+        # From a little before each cell: a rounding may have put a coordinate into the next one.
+        begins = origin[axis] + (np.arange(CELLS) - _ROUNDED) * (width[axis] / CELLS)
         below = np.searchsorted(planes[axis].astype(np.float64), begins, side="right") - 1
-        cells[axis] = np.clip(below, 0, planes.shape[1] - 2)
-    return cells.reshape(-1), lookup
+        cells[axis] = np.clip(below, 0, count - 2) + axis * count
+    above = np.full_like(planes, np.nan)
+    above[:, : count - 2] = planes[:, 1 : count - 1]
+    return cells.reshape(-1), lookup, above.reshape(-1)
 
 
 def box_area(bounds: F64) -> float:

@@ -18,6 +18,8 @@ from mibvh.tree import MAX_DEPTH, Tree
 from mibvh.triangles import F32, F64, I32, Triangles
 
 _BLOCK = 1024
+#: Segments that are not cut go this much farther than the scene's box, for a wall may be its side.
+_BEYOND = 1.0 + 1e-5
 
 
 class Nodes(NamedTuple):
@@ -85,7 +87,7 @@ def _hit(corners, triangle, o, d, t):
 
 
 @njit
-def _walk(begin, end, nodes, corners, rays, out, visits):
+def _walk(begin, end, nodes, corners, rays, any_hit, out, visits):
     """Trace rays; ``out`` gets distances (inf: none), ``visits`` inner nodes and triangles."""
     lower, upper, left, first, count, references = nodes
     o, d, tmax = rays
@@ -117,12 +119,20 @@ def _walk(begin, end, nodes, corners, rays, out, visits):
             for i in range(first[node], first[node] + count[node]):
                 tests += 1
                 t = _hit(corners, references[i], o[r], d[r], t)
+                if any_hit and t < tmax[r]:
+                    top = 0
+                    break
         out[r] = t if t < tmax[r] else np.inf
         visits[r, 0], visits[r, 1] = inner, tests
 
 
 def walk(
-    tree: Tree, triangles: Triangles, o: F32, d: F32 | F64, tmax: F32 | F64
+    tree: Tree,
+    triangles: Triangles,
+    o: F32,
+    d: F32 | F64,
+    tmax: F32 | F64,
+    any_hit: bool = False,
 ) -> tuple[F64, I32]:
     """Trace rays through a tree.
 
@@ -134,6 +144,8 @@ def walk(
         Origins and directions in scene units.
     tmax : (R,) float64
         In lengths of the direction.
+    any_hit : bool
+        Whether the first hit found ends a ray, and not the closest.
 
     Returns
     -------
@@ -147,16 +159,24 @@ def walk(
     rays = Rays(*(np.ascontiguousarray(a, np.float64) for a in (o, d, tmax)))
 
     def work(_worker: int, begin: int, end: int) -> None:
-        _walk(begin, end, nodes, triangles.corners, rays, t, visits)
+        _walk(begin, end, nodes, triangles.corners, rays, any_hit, t, visits)
 
     run_blocks(work, len(o), _BLOCK)
     return t, visits
 
 
 def cut_at_hits(
-    tree: Tree, triangles: Triangles, o: F32, d: F32, tmax: F32, viewpoint: I32
+    tree: Tree,
+    triangles: Triangles,
+    o: F32,
+    d: F32,
+    tmax: F32,
+    viewpoint: I32,
+    any_hit: bool = False,
 ) -> Segments:
     """Cut rays where they hit; those that miss end where they leave the scene's box.
+
+    Rays that any hit ends are not cut: which hit that is depends on the tree.
 
     Parameters
     ----------
@@ -166,6 +186,7 @@ def cut_at_hits(
     o, d : (R, 3) float32
     tmax : (R,) float32
     viewpoint : (R,) int32
+    any_hit : bool
 
     Returns
     -------
@@ -176,15 +197,18 @@ def cut_at_hits(
     o, viewpoint = o[sound], viewpoint[sound]
     along = d[sound].astype(np.float64)
     limit = tmax[sound].astype(np.float64)
-    t, _ = walk(tree, triangles, o, along, limit)
     low, high = triangles.bounds.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         far = np.where(
             along > 0, (high - o) / along, np.where(along < 0, (low - o) / along, np.inf)
         )
-    far = far.min(axis=1)
-    t = np.where(np.isfinite(t), t, np.minimum(np.maximum(far, 0.0), limit))
-    return Segments(o, (o + along * t[:, None]).astype(np.float32), viewpoint)
+    t = np.minimum(np.maximum(far.min(axis=1), 0.0), limit)
+    if any_hit:
+        t = np.minimum(t * _BEYOND, limit)
+    else:
+        hit, _ = walk(tree, triangles, o, along, limit)
+        t = np.where(np.isfinite(hit), hit, t)
+    return Segments(o, (o + along * t[:, None]).astype(np.float32), viewpoint, any_hit)
 
 
 def counted_cost(
@@ -192,10 +216,12 @@ def counted_cost(
 ) -> float:
     """Mean cost of segments in a tree: ``c_inner`` per inner node, ``c_tri`` per triangle.
 
-    Segments go on beyond their ends, as the traversal does not know the hit beforehand.
+    Segments go on beyond their ends, as the traversal does not know the hit beforehand; those
+    that any hit ends do not.
     """
     d = segments.end.astype(np.float64) - segments.start
     still = (d == 0).all(axis=1)
     d[still, 0] = 1e-30
-    _, visits = walk(tree, triangles, segments.start, d, np.full(len(d), np.inf))
+    tmax = np.full(len(d), 1.0 if segments.any_hit else np.inf)
+    _, visits = walk(tree, triangles, segments.start, d, tmax, segments.any_hit)
     return float((visits * np.array([c_inner, c_tri])).sum(axis=1).mean())

@@ -76,11 +76,11 @@ class _Rotated(Scene):
     before: Scene | None = None
     matrix: F64 | None = None
 
-    def few_rays(self, count: int, seed: int) -> RaySet:
+    def few_rays(self, count: int, seed: int, kind: str = "diffuse") -> RaySet:
         """As :meth:`mibvh.Scene.few_rays`."""
         assert self.before is not None
         assert self.matrix is not None
-        found: RaySet = self.before.few_rays(count, seed)
+        found: RaySet = self.before.few_rays(count, seed, kind)
         return found.rotated(self.matrix, self.triangles)
 
 
