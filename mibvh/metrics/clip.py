@@ -10,6 +10,8 @@ from mibvh._jit import njit
 
 #: Numbers in a row: a triangle cut by six planes has at most nine corners of three coordinates.
 _ROW = 36
+#: Without a sign, as indices that Numba takes as they are: those below zero count from the end.
+_ONE, _TWO, _THREE, _SIX, _WIDE = (np.uint64(n) for n in (1, 2, 3, 6, _ROW))
 
 
 class Polygons(NamedTuple):
@@ -57,38 +59,40 @@ def _cut(corners, source, n, target, axis, limit, sign):
 
     From one row of ``corners`` to another; returns the corner count.
     """
-    begin = place = _ROW * target
-    last = _ROW * source + 3 * n - 3
-    px, py, pz = corners[last], corners[last + 1], corners[last + 2]
-    p = sign * (corners[last + axis] - limit)
-    for i in range(_ROW * source, last + 3, 3):
-        qx, qy, qz = corners[i], corners[i + 1], corners[i + 2]
-        q = sign * (corners[i + axis] - limit)
+    begin = place = _WIDE * np.uint64(target)
+    first = _WIDE * np.uint64(source)
+    end = first + _THREE * np.uint64(n)
+    last, along = end - _THREE, np.uint64(axis)
+    px, py, pz = corners[last], corners[last + _ONE], corners[last + _TWO]
+    p = sign * (corners[last + along] - limit)
+    for i in range(first, end, _THREE):
+        qx, qy, qz = corners[i], corners[i + _ONE], corners[i + _TWO]
+        q = sign * (corners[i + along] - limit)
         s = p / (p - q)
         corners[place] = px + s * (qx - px)
-        corners[place + 1] = py + s * (qy - py)
-        corners[place + 2] = pz + s * (qz - pz)
-        corners[place + axis] = limit
-        place += 3 * ((p >= 0.0) != (q >= 0.0))
+        corners[place + _ONE] = py + s * (qy - py)
+        corners[place + _TWO] = pz + s * (qz - pz)
+        corners[place + along] = limit
+        place += _THREE * np.uint64((p >= 0.0) != (q >= 0.0))
         corners[place] = qx
-        corners[place + 1] = qy
-        corners[place + 2] = qz
-        place += 3 * (q >= 0.0)
+        corners[place + _ONE] = qy
+        corners[place + _TWO] = qz
+        place += _THREE * np.uint64(q >= 0.0)
         px, py, pz, p = qx, qy, qz, q
-    return (place - begin) // 3
+    return np.int64((place - begin) // _THREE)
 
 
 @njit(inline="always")
 def measure(polygons, row, n):
     """Write the corner count, the box and the area of the polygon in a row; return the area."""
     corners, limits = polygons.corners, polygons.limits
-    begin = _ROW * row
+    begin = _WIDE * np.uint64(row)
     x = y = z = 0.0
-    ax, ay, az = corners[begin], corners[begin + 1], corners[begin + 2]
+    ax, ay, az = corners[begin], corners[begin + _ONE], corners[begin + _TWO]
     x0, y0, z0, x1, y1, z1 = ax, ay, az, ax, ay, az
     ux = uy = uz = 0.0
-    for i in range(begin + 3, begin + 3 * n, 3):
-        bx, by, bz = corners[i], corners[i + 1], corners[i + 2]
+    for i in range(begin + _THREE, begin + _THREE * np.uint64(n), _THREE):
+        bx, by, bz = corners[i], corners[i + _ONE], corners[i + _TWO]
         x0, y0, z0 = min(x0, bx), min(y0, by), min(z0, bz)
         x1, y1, z1 = max(x1, bx), max(y1, by), max(z1, bz)
         vx, vy, vz = bx - ax, by - ay, bz - az
@@ -96,13 +100,31 @@ def measure(polygons, row, n):
         y += uz * vx - ux * vz
         z += ux * vy - uy * vx
         ux, uy, uz = vx, vy, vz
-    place = 6 * row
-    limits[place], limits[place + 1], limits[place + 2] = x0, y0, z0
-    limits[place + 3], limits[place + 4], limits[place + 5] = x1, y1, z1
+    place = _SIX * np.uint64(row)
+    limits[place], limits[place + _ONE], limits[place + _TWO] = x0, y0, z0
+    place += _THREE
+    limits[place], limits[place + _ONE], limits[place + _TWO] = x1, y1, z1
     area = 0.5 * np.sqrt(x * x + y * y + z * z)
     polygons.count[row] = n
     polygons.area[row] = area
     return area
+
+
+@njit(inline="always")
+def area_of(polygons, row, n):
+    """Return the area of the polygon of ``n`` corners in a row, which is not measured: its bits."""
+    corners = polygons.corners
+    begin = _WIDE * np.uint64(row)
+    x = y = z = 0.0
+    ax, ay, az = corners[begin], corners[begin + _ONE], corners[begin + _TWO]
+    ux = uy = uz = 0.0
+    for i in range(begin + _THREE, begin + _THREE * np.uint64(n), _THREE):
+        vx, vy, vz = corners[i] - ax, corners[i + _ONE] - ay, corners[i + _TWO] - az
+        x += uy * vz - uz * vy
+        y += uz * vx - ux * vz
+        z += ux * vy - uy * vx
+        ux, uy, uz = vx, vy, vz
+    return 0.5 * np.sqrt(x * x + y * y + z * z)
 
 
 @njit(inline="always")
@@ -115,14 +137,14 @@ def clip(polygons, row, box, node, spare):
     """
     # What is left may no longer cross the next planes. The box of the given polygon is used all the
     # same: a clip without effect costs less than measuring the box again.
-    limits, given = polygons.limits, 6 * row
-    n = polygons.count[row]
+    limits, given, of_node = polygons.limits, _SIX * np.uint64(row), _SIX * np.uint64(node)
+    n = polygons.count[np.uint64(row)]
     for plane in range(6):
-        bound = np.float64(box[6 * node + plane])
+        bound = np.float64(box[of_node + np.uint64(plane)])
         if plane < 3:
-            if limits[given + plane] >= bound:
+            if limits[given + np.uint64(plane)] >= bound:
                 continue
-        elif limits[given + plane] <= bound:
+        elif limits[given + np.uint64(plane)] <= bound:
             continue
         target = spare + 1 if row == spare else spare
         sign = 1.0 if plane < 3 else -1.0
@@ -136,12 +158,13 @@ def clip(polygons, row, box, node, spare):
 @njit(inline="always")
 def touches(limits, row, box, node):
     """Whether the closed box in a row of ``limits`` and that of a node have a point in common."""
-    a, b = 6 * row, 6 * node
+    a, b = _SIX * np.uint64(row), _SIX * np.uint64(node)
+    c, d = a + _THREE, b + _THREE
     return (
-        limits[a] <= box[b + 3]
-        and limits[a + 3] >= box[b]
-        and limits[a + 1] <= box[b + 4]
-        and limits[a + 4] >= box[b + 1]
-        and limits[a + 2] <= box[b + 5]
-        and limits[a + 5] >= box[b + 2]
+        limits[a] <= box[d]
+        and limits[c] >= box[b]
+        and limits[a + _ONE] <= box[d + _ONE]
+        and limits[c + _ONE] >= box[b + _ONE]
+        and limits[a + _TWO] <= box[d + _TWO]
+        and limits[c + _TWO] >= box[b + _TWO]
     )

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mibvh._jit import njit
-from mibvh.metrics.clip import Polygons, clip, measure, put_triangle, room, touches
+from mibvh.metrics.clip import Polygons, area_of, clip, measure, put_triangle, room, touches
 
 
 class Nodes(NamedTuple):
@@ -108,7 +108,14 @@ def _foreign(nodes, subtrees, low, high, row, base, weight, work, sums):
             inside, n = clip(polygons, h, box, node, 2 * level + 2)
             if inside != h:
                 clips += 1
-                if n < 3 or measure(polygons, inside, n) == 0.0:
+                if n < 3:
+                    continue
+                if left[node] < 0:  # nothing is clipped from it any more
+                    area = area_of(polygons, inside, n)
+                    sums[node] += np.int64(area * weight + 0.5)
+                    pairs += area > 0.0
+                    continue
+                if measure(polygons, inside, n) == 0.0:
                     continue
             sums[node] += np.int64(polygons.area[inside] * weight + 0.5)
             pairs += 1

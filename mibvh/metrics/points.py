@@ -116,7 +116,18 @@ def triangle_positions(tree: Tree | WideTree, triangles: int) -> tuple[Any, Any]
     """
     starts = np.zeros(triangles + 1, np.int64)
     np.cumsum(np.bincount(tree.references, minlength=triangles), out=starts[1:])
-    return starts, np.argsort(tree.references, kind="stable").astype(np.int32)
+    return starts, _sorted_positions(tree.references, starts[:-1].copy())
+
+
+@njit
+def _sorted_positions(references, place):
+    """Sort by counting: ``place`` tells where each triangle's next position goes."""
+    positions = np.empty(len(references), np.int32)
+    for i in range(len(references)):
+        t = references[i]
+        positions[place[t]] = i
+        place[t] += 1
+    return positions
 
 
 def point_costs(tree: Tree | WideTree, triangles: Any, points: F64, ids: I32) -> F64:

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 from mibvh.builders import Context, get
 from mibvh.builders.finish import finish
+from mibvh.builders.sharing import shared_drafts
 from mibvh.metrics.epo import epo
 from mibvh.metrics.sah import sah
 from mibvh.rays import RaySet, diffuse_rays
@@ -84,22 +85,25 @@ def sensitivity_experiment(setting: Setting, report: Reporter) -> SensitivityRes
     options, trees = setting.options, setting.trees
     share = 0.7 / len(trees)
     leaf_sizes = []
-    for i, name in enumerate(trees):
-        report.part(share * i, share, name)("leaf sizes", 0.0)
-        piece = key_of(
-            __name__,
-            "mibvh.builders.registry",
-            builder=name,
-            tree=trees.digest(name),
-            rays=setting.rays.digest,
-            cull=options.cull,
-            sizes=LEAF_SIZES,
-            most=_LEAF_RAYS,
-        )
-        make = functools.partial(
-            _leaf_sizes, setting.sources[name], setting.scene, setting.rays, options.cull
-        )
-        leaf_sizes.append(kept(setting.store, f"leaves-{piece}", _Sizes, make).sizes)
+    waiting = [setting.sources[name].starts() for name in trees]
+    with shared_drafts(setting.scene.triangles.digest, setting.store.folder) as drafts:
+        for i, name in enumerate(trees):
+            report.part(share * i, share, name)("leaf sizes", 0.0)
+            drafts.want(frozenset().union(*waiting[i:]))
+            piece = key_of(
+                __name__,
+                "mibvh.builders.registry",
+                builder=name,
+                tree=trees.digest(name),
+                rays=setting.rays.digest,
+                cull=options.cull,
+                sizes=LEAF_SIZES,
+                most=_LEAF_RAYS,
+            )
+            make = functools.partial(
+                _leaf_sizes, setting.sources[name], setting.scene, setting.rays, options.cull
+            )
+            leaf_sizes.append(kept(setting.store, f"leaves-{piece}", _Sizes, make).sizes)
     return SensitivityResult(leaf_sizes, _bounces(setting, report.part(0.7, 0.3)))
 
 
@@ -117,8 +121,8 @@ def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _
     tracer = Tracer(some, float(unit_scale(triangles)), cull=cull)
     costs = {"c_inner": options.c_inner, "c_tri": options.c_tri}
     meta = {"triangles": len(triangles), "digest": triangles.digest, **costs}
-    sizes = []
-    for size in LEAF_SIZES:
+
+    def judged(size: int) -> LeafSize:
         tree = judged_alike(finish(draft, **costs, max_leaf=size, meta=meta))
         values = {
             "sah": sah(tree),
@@ -126,8 +130,9 @@ def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _
             "counted_cost": float(counted_costs(tracer, tree, triangles).mean()),
             "mean_leaf_size": tree.stats()["mean_leaf_size"],
         }
-        sizes.append(LeafSize(size, len(some), values))
-    return _Sizes(sizes)
+        return LeafSize(size, len(some), values)
+
+    return _Sizes([judged(size) for size in LEAF_SIZES])
 
 
 def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:
