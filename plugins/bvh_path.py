@@ -132,7 +132,6 @@ class BvhPath(mi.SamplingIntegrator):
             lit = go_on & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             ds, weight = scene.sample_emitter_direction(si, sampler.next_2d(), False, lit)
             lit &= ds.pdf != 0
-            lit &= ~tree.occluded(tree.spawn_ray_to(si, ds.p), lit)
             wo = si.to_local(ds.d)
 
             # ------------------------ BSDF sampling -----------------------
@@ -141,10 +140,13 @@ class BvhPath(mi.SamplingIntegrator):
                 context, si, wo, sampler.next_1d(), sampler.next_2d()
             )
             mis = dr.select(ds.delta, 1, _mis(ds.pdf, pdf))
-            L[lit] = dr.fma(β, value * weight * mis, L)
+            L_lit = dr.fma(β, value * weight * mis, L)
 
             # ------------- Loop variables for the next vertex -------------
 
+            # Both rays before any is traced: what is known of the surface is then fetched once,
+            # and need not be kept while the tree is walked.
+            shadow = tree.spawn_ray_to(si, ds.p)
             ray = tree.spawn_ray(si, si.to_world(bsdf_sample.wo))
             β *= bsdf_weight
             η *= bsdf_sample.eta
@@ -164,6 +166,11 @@ class BvhPath(mi.SamplingIntegrator):
             survives = sampler.next_1d() < survival
             β[roulette] *= dr.rcp(survival)
             active = go_on & (~roulette | survives) & (β_max != 0)
+
+            # --------------------------- Tracing --------------------------
+
+            lit &= ~tree.occluded(shadow, lit)
+            L = dr.select(lit, L_lit, L)
             pi = tree.intersect(ray, active)
 
         return dr.select(visible, L, 0), visible, []

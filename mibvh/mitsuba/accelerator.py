@@ -9,13 +9,13 @@ import numpy as np
 
 from mibvh.errors import MibvhError
 from mibvh.mitsuba.parameters import Builder
-from mibvh.rays.origins import clear_origin, corners_of, onto_plane
+from mibvh.rays.origins import clear_origin, onto_plane
 from mibvh.scene import mesh_corners, shape_key, shape_kind
 from mibvh.traversal.kernel import walk
-from mibvh.traversal.records import own_memory
+from mibvh.traversal.records import ROW, own_memory
 from mibvh.traversal.wide import walk_wide_lanes
 from mibvh.tree import Tree
-from mibvh.triangles import Triangles
+from mibvh.triangles import F32, Triangles
 from mibvh.variant import mitsuba
 
 _NONE = 0xFFFFFFFF
@@ -78,18 +78,16 @@ class Accelerator:
         self.tree, self._records = Builder(builder, tuple(sorted(options.items()))).build(
             self.triangles, progress, "wide" if style == "wide" else "binary"
         )
-        self._corners = own_memory(self.triangles.corners)
-        # -- from triangle ids to Mitsuba's shapes and primitives
+        # -- from triangle ids to Mitsuba's shapes and primitives, and to corners
         counts = [len(part) for part in parts]
         first = np.cumsum([0, *counts[:-1]])
         pointers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]) for s in meshes]
-        self._shape = mi.UInt32(np.repeat(pointers, counts).astype(np.uint32))
-        self._first = mi.UInt32(np.repeat(first, counts).astype(np.uint32))
+        self._rows = own_memory(_rows(self.triangles.corners, pointers, counts))
         # and back: the first triangle of the shape with each pointer, -1 for those beside the tree
         first_of = np.full(max(pointers) + 1, -1, np.int32)
         first_of[pointers] = first
         self._first_of = mi.Int32(first_of)
-        dr.eval(self._shape, self._first, self._first_of)
+        dr.eval(self._first_of)
         # Instances cannot be taken out of their scene. Mitsuba then traces the whole scene, and its
         # hits on meshes of the tree are ignored.
         self._all_traced = any(shape_kind(shape) == "Instance" for shape in others)
@@ -128,11 +126,13 @@ class Accelerator:
         pi = dr.zeros(mi.PreliminaryIntersection3f, dr.width(o))
         pi.valid = valid
         pi.t = dr.select(valid, t, dr.inf)
-        pi.prim_index = triangle - dr.gather(mi.UInt32, self._first, triangle, valid)
-        pi.prim_index = dr.select(valid, pi.prim_index, 0)
-        shape = dr.gather(mi.UInt32, self._shape, triangle, valid)
+        row = self._row(triangle, valid)
+        shape, primitive = (
+            dr.select(valid, dr.reinterpret_array(mi.UInt32, row[i]), 0) for i in (9, 10)
+        )
+        pi.prim_index = primitive
         pi.shape = dr.reinterpret_array(mi.ShapePtr, shape)
-        pi.prim_uv = self._barycentric(o, d, triangle, valid)
+        pi.prim_uv = dr.select(valid, _barycentric(o, d, _corners(row)), 0)
         if self._others is not None:
             pi = dr.select(valid, pi, other)
         return pi
@@ -180,7 +180,8 @@ class Accelerator:
         known = si.is_valid() & (pointer < dr.width(self._first_of))
         first = dr.gather(mi.Int32, self._first_of, pointer, known)
         known &= first >= 0
-        abc = corners_of(self._corners, mi.UInt32(first) + si.prim_index, known)
+        row = self._row(mi.UInt32(first) + si.prim_index, known)
+        abc = [mi.Point3d(corner) for corner in _corners(row)]
         at = onto_plane(*abc, mi.Point3d(si.p))
         origin, normal = clear_origin(*abc, at, mi.Vector3d(d))
         ray.o = dr.select(known & (dr.squared_norm(normal) > 0), origin, ray.o)
@@ -222,16 +223,39 @@ class Accelerator:
             tmax, active = dr.select(every, tmax, 0), active & every
         return o, d, tmax, active
 
-    def _barycentric(self, o: Any, d: Any, triangle: Any, valid: Any) -> Any:
-        """Barycentric coordinates of the hit (Moeller and Trumbore 1997)."""
+    def _row(self, triangle: Any, active: Any) -> Any:
+        """What is known of a triangle, fetched at once; see :func:`_rows`."""
         import drjit as dr
 
         mi = mitsuba()
-        a, b, c = (dr.gather(mi.Point3f, self._corners, triangle * 3 + i, valid) for i in range(3))
-        e1, e2, s = b - a, c - a, o - a
-        p, q = dr.cross(d, e2), dr.cross(s, e1)
-        inverse = dr.rcp(dr.dot(e1, p))
-        return dr.select(valid, mi.Point2f(dr.dot(s, p), dr.dot(d, q)) * inverse, 0)
+        n = max(dr.width(triangle), dr.width(active))
+        return dr.gather(mi.ArrayXf, self._rows, triangle, active, shape=(ROW, n))
+
+
+def _rows(corners: F32, pointers: list[int], counts: list[int]) -> F32:
+    """A row per triangle: corners, pointer to its shape, its number there, five spare."""
+    rows = np.zeros((len(corners), ROW), np.float32)
+    rows[:, :9] = corners.reshape(-1, 9)
+    bits = rows.view(np.uint32)
+    bits[:, 9] = np.repeat(pointers, counts)
+    bits[:, 10] = np.concatenate([np.arange(count) for count in counts])
+    return rows
+
+
+def _corners(row: Any) -> list[Any]:
+    """Three Point3f: the corners in a row."""
+    mi = mitsuba()
+    return [mi.Point3f(row[i], row[i + 1], row[i + 2]) for i in (0, 3, 6)]
+
+
+def _barycentric(o: Any, d: Any, corners: list[Any]) -> Any:
+    """Barycentric coordinates of the hit (Moeller and Trumbore 1997)."""
+    import drjit as dr
+
+    a, b, c = corners
+    e1, e2, s = b - a, c - a, o - a
+    p, q = dr.cross(d, e2), dr.cross(s, e1)
+    return mitsuba().Point2f(dr.dot(s, p), dr.dot(d, q)) * dr.rcp(dr.dot(e1, p))
 
 
 def check_style(style: str) -> None:
