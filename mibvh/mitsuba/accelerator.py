@@ -181,9 +181,9 @@ class Accelerator:
         first = dr.gather(mi.Int32, self._first_of, pointer, known)
         known &= first >= 0
         row = self._row(mi.UInt32(first) + si.prim_index, known)
-        abc = [mi.Point3d(corner) for corner in _corners(row)]
-        at = onto_plane(*abc, mi.Point3d(si.p))
-        origin, normal = clear_origin(*abc, at, mi.Vector3d(d))
+        a, b, c = (mi.Point3d(corner) for corner in _corners(row))
+        at = onto_plane(a, b, c, mi.Point3d(si.p))
+        origin, normal = clear_origin(a, b, c, at, mi.Vector3d(d))
         ray.o = dr.select(known & (dr.squared_norm(normal) > 0), origin, ray.o)
         return ray
 
