@@ -1,7 +1,7 @@
 """What trees for traced rays gain in counted cost, and what each part of them is worth.
 
     python benchmarks/better_trees.py SCENE... [--table gains|ablations|unseen|vain|anyhit
-                                              |later|wide|times]
+                                              |later|wide|times|speed]
                                       [--trees DIR] [--size 160x120] [--kept DIR] [-o TABLE.md]
 
 SCENE is whatever `mibvh build` takes. Trees are measured on rays that no builder saw: of another
@@ -23,6 +23,8 @@ there and the version, SCENE and --size are the same.
   collapsed by area.
 - times: the same trees' kernel speed as a share of Embree's (Mitsuba's own intersection), all
   interleaved. For a quiet machine.
+- speed: CPU time of building, of one process on all its threads, relative to `bittner` from `sbvh`,
+  interleaved. Best with MIBVH_THREADS=1.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -48,6 +51,8 @@ from mibvh.wide_tree import WideTree
 SEED = 0
 #: Interleaved rounds of the times.
 _ROUNDS = 15
+#: Interleaved builds of the speed.
+_BUILDS = 5
 
 
 @dataclasses.dataclass
@@ -311,9 +316,31 @@ def times(bench: Bench) -> Row:
     return {label: float(share) for label, share in zip(trees, shares, strict=True)}
 
 
+def speed(bench: Bench) -> Row:
+    """CPU time of building relative to `bittner` from `sbvh`; median over interleaved rounds."""
+    builds: dict[str, Callable[[], Tree]] = {
+        "area combination": lambda: mibvh.build(bench.scene, "bittner", start="sbvh"),
+        "finite": lambda: mibvh.build(bench.scene, "finite"),
+        "effort=1": lambda: mibvh.build(bench.scene, "finite", effort=1),
+    }
+    rounds = []
+    for _ in range(_BUILDS + 1):
+        seconds = []
+        for build in builds.values():
+            begin = time.process_time()
+            build()
+            seconds.append(time.process_time() - begin)
+        rounds.append(seconds)
+    # The first round compiles.
+    found = np.array(rounds[1:])
+    ratios = np.median(found[:, 1:] / found[:, :1], axis=0).tolist()
+    row: Row = {"seconds": float(np.median(found[:, 0]))}
+    return row | dict(zip(list(builds)[1:], ratios, strict=True))
+
+
 TABLES: dict[str, Callable[[Bench], Row]] = {
     function.__name__: function
-    for function in (gains, ablations, unseen, vain, anyhit, later, wide, times)
+    for function in (gains, ablations, unseen, vain, anyhit, later, wide, times, speed)
 }
 #: Tables that are relative to the best of the nine builders.
 _RELATIVE = ("gains", "ablations", "vain", "later")

@@ -142,6 +142,16 @@ def test_the_whole_is_touched_by_all_and_nothing_by_none():
     assert of_boxes(None, box)[0] == whole
 
 
+@pytest.mark.parametrize("ends", [0.0, 0.1])
+def test_starts_on_a_floor_are_not_in_its_flat_box(ends):
+    """They are a hair above it, and what ends on it is all that touches it."""
+    rays = segments(kind="room")
+    high = np.maximum(rays.end, np.float32([0, ends, 0]))
+    flux = Flux(Segments(rays.start, high, rays.viewpoint), planes=20)
+    found = touched(flux.compiled(1.0), *np.float32([-1, 0, -1, 4, 0, 3]))
+    assert found == pytest.approx((high[:, 1] == 0).sum(), rel=0.1, abs=1)
+
+
 def test_tables_refuse_what_they_cannot_count():
     rays = segments(20)
     for wrong in ({"planes": 3}, {"planes": 257}, {"area_weight": -0.1}):

@@ -32,7 +32,7 @@ import numpy as np
 from mibvh.builders.draft import Draft
 from mibvh.builders.finish import draft_sah, finish
 from mibvh.builders.insertion import InsertionOptions, moved, reinserted
-from mibvh.builders.registry import Context, Options, builder, get, option
+from mibvh.builders.registry import Context, Options, builder, option
 from mibvh.builders.resplit import Resplitter, Rules
 from mibvh.errors import MibvhError
 from mibvh.files import read_arrays
@@ -47,8 +47,6 @@ _FOLDS = 4
 #: Rays between surfaces begin this share of the diagonal off them.
 _OFF = 1e-5
 
-#: Planes per axis that `sbvh` by flux chooses from: those of 128 gain nothing after insertion.
-_BINS = 48
 #: References that splitting is tried on, per triangle: those of greatest measure.
 _TRIALS = 0.2
 
@@ -173,9 +171,7 @@ class _Search:
     ) -> tuple[Draft, dict[str, Any]]:
         """Find the best tree by a measure, and say how it came about."""
         context = dataclasses.replace(self.context, measure=measure)
-        sbvh = get("sbvh")
-        fewer = dataclasses.replace(sbvh.start_options(options), bins=_BINS)
-        flux = sbvh.draft(self.triangles, fewer, context)
+        flux = context.start(self.triangles, "sbvh", options)
         report: dict[str, Any] = {"start": "flux", "split": 0, "merged": 0}
         if options.effort == 1:
             draft = self._moved(flux, self.insertion, context)

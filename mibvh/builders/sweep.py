@@ -186,6 +186,9 @@ def best_split(measure, lists, first, total, n, areas):
     -------
     (cost, unevenness, axis, number of references on the left)
     """
+    if n == 2:  # the same on each axis
+        cost = cost_of(measure, load(lists, first))
+        return cost + cost_of(measure, load(lists, first + np.uint64(1))), 0, 0, 1
     if n <= SMALL:
         return _best_split_small(measure, lists, first, total, n, areas)
     # The axis of the farthest centres first: it bounds the others best.
