@@ -51,6 +51,7 @@ def njit(
     cache_file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if cache_file is not None and hasattr(cache_file, "_source_stamp"):
         cache_file._source_stamp = _stamp(function, compiled.mibvh_files)
+        _read_if_sound(cache_file)
     return compiled
 
 
@@ -83,6 +84,29 @@ def _keep_if_possible(compiled: Dispatcher) -> None:
             save(signature, data)
 
     cache.save_overload = save_overload
+
+
+def _read_if_sound(cache_file: Any) -> None:
+    """Take what cannot be read for no cache at all, and compile anew.
+
+    An index that another version of this package left names types that may be gone; Numba reads
+    it before it looks at the stamp. A file may be damaged, too.
+    """
+    load_index, load_data = cache_file._load_index, cache_file._load_data
+
+    def index() -> Any:
+        try:
+            return load_index()
+        except Exception:  # unpickling fails in many ways
+            return {}
+
+    def data(name: str) -> Any:
+        try:
+            return load_data(name)
+        except Exception as error:
+            raise OSError(f"{name} cannot be read") from error  # for Numba, it is not there
+
+    cache_file._load_index, cache_file._load_data = index, data
 
 
 def _compile_once(compiled: Dispatcher) -> None:

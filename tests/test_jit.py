@@ -1,8 +1,14 @@
 """How kernels are compiled."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numba
 import numpy as np
 
+import mibvh
 from mibvh._jit import njit
 
 
@@ -40,3 +46,40 @@ def test_a_callee_is_compiled_once_for_all_signed_integers():
 
 def test_unsigned_integers_stay_unsigned():
     assert _bit_of(np.array([1 << 63], np.uint64)) == 1
+
+
+_KERNEL = """
+from typing import NamedTuple
+from mibvh._jit import njit
+class Two(NamedTuple):
+    a: float
+    b: float
+@njit
+def added(two):
+    return two.a + two.b
+"""
+
+
+def _run(folder, use):
+    found = subprocess.run(
+        [sys.executable, "-c", use],
+        env={**os.environ, "PYTHONPATH": f"{folder}:{Path(mibvh.__file__).parents[1]}"},
+        capture_output=True,
+        text=True,
+    )
+    assert found.returncode == 0, found.stderr
+    return found.stdout.split()
+
+
+def test_a_cache_that_cannot_be_read_is_no_cache(tmp_path):
+    """Another version left an index that names a type which is gone; a file is damaged."""
+    kernel = tmp_path / "kernel.py"
+    kernel.write_text(_KERNEL)
+    assert _run(tmp_path, "import kernel; print(kernel.added(kernel.Two(1.0, 2.0)))") == ["3.0"]
+    kernel.write_text(_KERNEL.replace("Two", "Pair"))
+    use = "import kernel as k; print(k.added(k.Pair(1.0, 2.0)), len(k.added.stats.cache_misses))"
+    assert _run(tmp_path, use) == ["3.0", "1"]
+    assert _run(tmp_path, use) == ["3.0", "0"], "the new one is found again"
+    for file in (tmp_path / "__pycache__").glob("*.nbc"):
+        file.write_bytes(b"damaged")
+    assert _run(tmp_path, use) == ["3.0", "1"]
