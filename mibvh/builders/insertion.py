@@ -526,8 +526,8 @@ def reinserted(start: Draft, options: InsertionOptions, context: Context) -> Dra
     }
     start_sah = draft_sah(start, **common)
     draft = moved(start, options, context)
-    # Python keeps a key where it first came.
-    report = {**start.report, "start_sah": start_sah, "end_sah": start_sah, **draft.report}
+    # What the start says of its own start is overwritten.
+    report = {**draft.report, "start_sah": start_sah, "end_sah": start_sah}
     draft = dataclasses.replace(draft, report=report)
     report["end_sah"] = draft_sah(draft, **common)
     if report["end_sah"] > start_sah:
