@@ -57,6 +57,15 @@ def test_the_report_says_what_it_was_built_for(trees, scene):
     json.dumps(trees["finite"].meta)
 
 
+def test_large_scenes_are_built_for_more_rays(monkeypatch, scene):
+    """A tree for too few rays knows where these go, and not where others do."""
+    monkeypatch.setattr("mibvh.builders.finite._FEWEST", 100)
+    tree = mibvh.build(scene, "finite", planes=32, effort=1)
+    assert tree.meta["report"]["ray_count"] == pytest.approx(len(scene.triangles) / 4, rel=0.1)
+    few = mibvh.build(scene, "finite", planes=32, effort=1, count=3)
+    assert few.validate(scene.triangles) == []
+
+
 def test_without_a_scene_rays_go_between_surfaces_and_it_says_so(scene):
     tree = mibvh.build(scene.triangles, "finite", **FEW)
     assert tree.meta["report"]["rays"].startswith("rays between surfaces, as there is no scene")

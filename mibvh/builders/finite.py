@@ -50,6 +50,9 @@ _OFF = 1e-5
 #: References that splitting is tried on, per triangle: those of greatest measure.
 _TRIALS = 0.2
 
+#: Rays for a triangle, and fewest and most rays, where their number is not given.
+_DENSITY, _FEWEST, _MOST = 0.25, 30_000, 1_000_000
+
 #: What a ray file holds.
 _ARRAYS = ("o", "d", "tmax", "viewpoint", "bounce", "source")
 #: Origins, directions, greatest distances and viewpoints of rays, and whether any hit ends them.
@@ -65,9 +68,9 @@ class FiniteOptions(Options):
         "diffuse", "kind of the rays from the scene's cameras: diffuse, bounce2, shadow, ao, ..."
     )
     count: int = option(
-        30_000,
-        "rays that the tree is built for; more is slower, and a little better",
-        16,
+        0,
+        "rays that the tree is built for; 0: one for four triangles, but 30,000 to a million",
+        0,
         MAX_SEGMENTS,
     )
     planes: int = option(64, "planes per axis of the measure's tables", 4, 256)
@@ -119,25 +122,26 @@ def training_rays(
     triangles: Triangles, options: FiniteOptions, context: Context
 ) -> tuple[_Rays, str]:
     """Rays to build for, and a sentence on where they are from."""
+    count = options.count or int(min(max(_FEWEST, _DENSITY * len(triangles)), _MOST))
     if options.rays:
         arrays, meta = read_arrays(options.rays, "ray set", _ARRAYS)
         if meta.get("digest") not in (None, triangles.digest):
             raise MibvhError(
                 f"{options.rays}: the rays were made for another geometry than {triangles.name}"
             )
-        step = max(1, -(-len(arrays["o"]) // options.count))
+        step = max(1, -(-len(arrays["o"]) // count))
         o, d, tmax, viewpoint = (arrays[name][::step] for name in _ARRAYS[:4])
         return (o, d, tmax, viewpoint, bool(meta.get("occlusion"))), f"rays of {options.rays}"
     trace = getattr(context.source, "few_rays", None)
     if trace is not None:
-        rays = trace(options.count, options.seed, options.kind)
+        rays = trace(count, options.seed, options.kind)
         said = f"{options.kind} rays of {len(np.unique(rays.viewpoint))} viewpoints"
         return (rays.o, rays.d, rays.tmax, rays.viewpoint, rays.occlusion), said
     said = (
         "rays between surfaces, as there is no scene with cameras: worth hardly more than the "
         "area; hand the scene to the build"
     )
-    return surface_rays(triangles, options.count, options.seed), said
+    return surface_rays(triangles, count, options.seed), said
 
 
 class _Search:
