@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from mibvh.files import write_text
 
 
 def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterable[str]:
@@ -14,3 +17,11 @@ def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> It
     for row in rows:
         yield f"| {' | '.join(row)} |"
     yield ""
+
+
+def printed(lines: Iterable[str], output: Path | None) -> None:
+    """Print lines, and write them to a file if there is one."""
+    text = "\n".join(lines)
+    print(text)
+    if output:
+        write_text(output, text + "\n")

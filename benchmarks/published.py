@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from markdown_tables import printed
 
 import mibvh
-from mibvh.files import write_text
 
 #: The share of EPO that tinybvh is compiled with.
 _ALPHA = 0.71
@@ -123,10 +123,7 @@ def main() -> None:
         names = ("bbvh", _PRESPLIT, *_OBJECT, *_SPATIAL)
         found[scene.name] = {name: figures_of(scene, rays, name, chosen.trees) for name in names}
         print(f"{scene.name}: done", flush=True)
-    text = "\n".join([*predicted(found), "", *performance(found)]) + "\n"
-    print(text)
-    if chosen.output is not None:
-        write_text(chosen.output, text)
+    printed([*predicted(found), "", *performance(found)], chosen.output)
 
 
 if __name__ == "__main__":

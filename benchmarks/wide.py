@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TypeVar, get_args
 
 import numpy as np
-from markdown_tables import table
+from markdown_tables import printed, table
 
 import mibvh
 from mibvh.builders import names
@@ -128,10 +128,7 @@ def main() -> None:
             part = "" if builders == list(names()) else f"-{'-'.join(builders)}"
             write_text(arguments.save / f"{of.name}{part}.json", json.dumps(to_json(of)))
         print(f"{found[-1].name} done", file=sys.stderr, flush=True)
-    text = "\n".join(tables(together(found)))
-    print(text)
-    if arguments.output:
-        write_text(arguments.output, text + "\n")
+    printed(tables(together(found)), arguments.output)
 
 
 # ------------------------------------------------------------ measuring

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import NamedTuple, get_args
 
 import numpy as np
-from markdown_tables import table
+from markdown_tables import printed, table
 from wide import WIDTHS, Given, SceneFigures, fitted, geometric_mean, measure_figures
 
 import mibvh
@@ -110,10 +110,7 @@ def main() -> None:
         if asked.save:
             write_text(asked.save / f"{name}.json", json.dumps(to_json(found[-1])))
         print(f"{name} done", file=sys.stderr, flush=True)
-    text = "\n".join(tables(found))
-    print(text)
-    if asked.output:
-        write_text(asked.output, text + "\n")
+    printed(tables(found), asked.output)
 
 
 def measure(given: Given) -> InWarps:
