@@ -5,7 +5,8 @@ import pytest
 from conftest import scene_record, tree_row
 
 from mibvh.metrics.predictor import fisher_interval
-from mibvh.metrics.predictors import predictor
+from mibvh.metrics.predictors import Sample, predictor
+from mibvh.studies.analyse.left_out import predicted_from_others
 from mibvh.studies.analyse.level import level_pieces
 from mibvh.studies.analyse.pooled import family, pooled
 from mibvh.studies.record.quantities import quantities
@@ -126,3 +127,21 @@ def test_pieces_of_the_level_multiply_to_it():
     assert found["order"] == pytest.approx(12 / 15)
     assert found["which_lines"] * found["along"] * found["order"] == pytest.approx(found["level"])
     assert level_pieces([scene("a", 0.5)]).empty
+
+
+def test_a_tree_that_is_left_out_is_predicted_by_alpha_and_a_line_of_the_others():
+    """Against all alphas in steps of a thousandth; SAH gets no negative weight here."""
+    rng = np.random.default_rng(3)
+    values = {"sah": rng.uniform(20, 60, 9), "epo": rng.uniform(1, 30, 9)}
+    measured = 40 - 0.2 * values["sah"] + 2 * values["epo"] + rng.standard_normal(9)
+    found = predicted_from_others(predictor("fitted"), [Sample(values, measured)], 0, np.arange(9))
+    for i in range(9):
+        kept = np.arange(9) != i
+        mixes = [(1 - a) * values["sah"] + a * values["epo"] for a in np.linspace(0, 1, 1001)]
+        best = max(mixes, key=lambda mix: np.corrcoef(mix[kept], measured[kept])[0, 1])
+        expected = np.polyval(np.polyfit(best[kept], measured[kept], 1), best[i])
+        assert found[i] == pytest.approx(expected, rel=2e-3)
+    few = {name: v[:3] for name, v in values.items()}
+    assert np.isnan(
+        predicted_from_others(predictor("fitted"), [Sample(few, measured[:3])], 0, np.arange(3))
+    ).all()

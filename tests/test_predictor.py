@@ -12,7 +12,6 @@ from mibvh.metrics.predictor import (
     finite_ray_cost,
     fit_alpha,
     fitted_combination,
-    held_out,
     path_length_ratio,
     pearson,
     predict,
@@ -74,16 +73,6 @@ def test_agreement_names_the_absurd_tree():
     assert line["worst_error"] == pytest.approx(0, abs=1e-12)
     assert line["spearman"] == pytest.approx(1)
     assert line["kendall"] == pytest.approx(1)
-
-
-def test_held_out_is_what_the_others_say():
-    x = np.array([1.0, 2, 3, 4, 5])
-    predicted = held_out([x], 2 * x + 1)
-    np.testing.assert_allclose(predicted, 2 * x + 1)
-    y = 2 * x + 1
-    y[4] = 0
-    assert held_out([x], y)[4] == pytest.approx(11)
-    assert np.isnan(held_out([x, x**2, x**3], y)).all()
 
 
 def test_fitted_combination_takes_no_negative_weight():

@@ -167,31 +167,6 @@ def finite_ray_cost(
     return length_ratio * np.asarray(sah, np.float64) + np.asarray(point_query, np.float64)
 
 
-def held_out(columns: Sequence[npt.ArrayLike], measured: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Predict each tree from a least-squares fit to the others (leave one tree out).
-
-    Parameters
-    ----------
-    columns : list of (K,) array
-        Metrics whose weights are fitted, together with a constant.
-    measured : (K,) array
-
-    Returns
-    -------
-    (K,) float64
-        NaN where there are too few trees to fit.
-    """
-    y = np.asarray(measured, np.float64)
-    x = np.stack([np.ones(len(y)), *(np.asarray(c, np.float64) for c in columns)], axis=1)
-    if len(y) < x.shape[1] + 2:
-        return np.full(len(y), np.nan)
-    found = np.empty(len(y))
-    for i in range(len(y)):
-        others = np.arange(len(y)) != i
-        found[i] = x[i] @ np.linalg.lstsq(x[others], y[others], rcond=None)[0]
-    return found
-
-
 def fitted_combination(
     columns: Sequence[npt.ArrayLike], measured: npt.ArrayLike
 ) -> npt.NDArray[np.float64]:

@@ -12,11 +12,11 @@ from mibvh.metrics.predictor import (
     agreement,
     bootstrap_interval,
     fisher_interval,
-    held_out,
     pearson,
 )
 from mibvh.metrics.predictors import Predictor, Sample, alpha_of, predictor, predictors
 from mibvh.metrics.registry import Quantity
+from mibvh.studies.analyse.left_out import predicted_from_others
 from mibvh.studies.record.quantities import targets
 from mibvh.studies.record.scene import Records, samples
 from mibvh.triangles import F64
@@ -110,7 +110,7 @@ def _of_target(records: Records, target: Quantity) -> Iterator[dict[str, float |
                 "predictor": one.name,
                 "alpha": alpha_of(weights),
                 **agrees,
-                "held_out": _held_out(one, sample),
+                "held_out": _held_out(one, known, place),
                 "low": low,
                 "high": high,
                 "trees_low": trees[0],
@@ -119,12 +119,13 @@ def _of_target(records: Records, target: Quantity) -> Iterator[dict[str, float |
         place += 1
 
 
-def _held_out(one: Predictor, sample: Sample) -> float:
+def _held_out(one: Predictor, known: list[Sample], place: int) -> float:
     """Pearson r of trees predicted from a fit to the others."""
     if not one.linear:
         return _NONE
-    predicted = held_out([sample.values[name] for name in one.linear], sample.measured)
-    return pearson(predicted, sample.measured) if np.isfinite(predicted).all() else _NONE
+    measured = known[place].measured
+    predicted = predicted_from_others(one, known, place, np.arange(len(measured)))
+    return pearson(predicted, measured) if np.isfinite(predicted).all() else _NONE
 
 
 def predicted(name: str, sample: Sample) -> tuple[float, F64]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ from scipy import stats
 from mibvh.metrics.predictor import pearson
 from mibvh.metrics.predictors import Predictor, Sample, Weights
 from mibvh.metrics.registry import Quantity
+from mibvh.studies.analyse.left_out import predicted_from_others
 from mibvh.studies.record.scene import Records, samples
 from mibvh.triangles import F64
 
@@ -62,7 +63,10 @@ def _row(
     others = [one.predict(s.values, _of_others(one, known, i)) for i, s in enumerate(known)]
     measured = np.concatenate([_relative(s.measured) for s in known] or [np.zeros(0)])
     together = np.concatenate([_relative(values) for values in own] or [np.zeros(0)])
-    left = [_other_families(one, known, i, families[i]) for i in range(len(known))]
+    left = [
+        predicted_from_others(one, known, i, families[i]) / s.measured.mean()
+        for i, s in enumerate(known)
+    ]
     predicted = np.concatenate(left or [np.zeros(0)])
     sound = np.isfinite(predicted)
     error = np.abs(predicted[sound] / measured[sound] - 1)
@@ -102,26 +106,3 @@ def _of_others(one: Predictor, known: list[Sample], this: int) -> Weights:
     return {str(name): float(value) for name, value in fitted.mean().items()} or dict.fromkeys(
         one.fit(known, this), _NONE
     )
-
-
-def _other_families(
-    one: Predictor, known: list[Sample], this: int, families: npt.NDArray[np.str_]
-) -> F64:
-    """Relative cost of each tree, predicted from the scene's trees of other families."""
-    sample, found = known[this], np.full(len(families), np.nan)
-    for kept in _others(families):
-        if kept.sum() < 3:  # no line through so few
-            continue
-        part = Sample({name: v[kept] for name, v in sample.values.items()}, sample.measured[kept])
-        weights = one.fit([*known[:this], part, *known[this + 1 :]], this)
-        values = one.predict(sample.values, weights)
-        if np.isfinite(values).all() and np.ptp(values[kept]) > 0:
-            slope, base = np.polyfit(values[kept], sample.measured[kept], 1)
-            found[~kept] = (base + slope * values[~kept]) / sample.measured.mean()
-    return found
-
-
-def _others(families: npt.NDArray[np.str_]) -> Iterator[npt.NDArray[np.bool_]]:
-    """Yield the trees that are not of a family, for each family."""
-    for name in dict.fromkeys(families.tolist()):
-        yield families != name

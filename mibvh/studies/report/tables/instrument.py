@@ -68,9 +68,14 @@ def _stopwatch(records: Records) -> Sheet:
         title="The stopwatch",
         note="Rounds, each of which times every tree once; the largest standard error of a "
         "tree's time relative to the others; and the difference of one tree timed twice under "
-        "two names. The common level of a scene's times is known less well: the trees of a "
-        "rotated scene are timed once more, minutes later, and the last column is the "
-        "difference of the levels.",
+        "two names."
+        + (
+            " The common level of a scene's times is known less well: the trees of a rotated "
+            "scene are timed once more, minutes later, and the last column is the difference "
+            "of the levels."
+            if "again" in frame
+            else ""
+        ),
         frame=frame,
         columns=columns,
     )
@@ -94,8 +99,10 @@ def _noise(records: Records, correlations: pd.DataFrame) -> Sheet:
         section=_SECTION,
         title="What part of the missing correlation is noise",
         note="Of the variance of a scene's times, the mean square of their standard errors is "
-        "noise; no predictor can be expected to correlate better than 'r at most'. What a "
-        "predictor misses is 1 − r²; the other columns say what share of it is that noise.",
+        "noise; with it no predictor is expected to correlate better than 'r at most', though one "
+        "may by chance, or where the errors are stated too large. What a predictor misses is "
+        "1 − r²; the other columns say by what share of it r² would grow with times known "
+        "exactly (Spearman's correction for attenuation).",
         frame=frame,
         columns=columns,
     )

@@ -61,7 +61,7 @@ def _overview(records: Records, correlations: pd.DataFrame) -> Sheet:
             columns.append(Column(name, f"{target.heading}: {heading}", ".3f"))
     frame["error"] = frame["predictor"].map(summary.loc["counted_cost"]["worst_error"])
     error = "largest misprediction of any tree's counted cost by the least-squares line"
-    columns.append(Column("error", "worst error", ".0%", error))
+    columns.append(Column("error", "counted: worst error", ".0%", error))
     text = {name: f"{r.mean:.3f} ({r.low:.3f})" for name, r in published().r.items()}
     frame["paper"] = frame["predictor"].map(text).fillna("")
     over = f"mean (worst) with scalar time over the {published().scenes} scenes of the slides"
@@ -159,12 +159,17 @@ def _per_scene(records: Records, correlations: pd.DataFrame) -> Sheet:
             [
                 Column("trees_low", "finite rays: from", ".3f", interval),
                 Column("trees_high", "to", ".3f", interval),
-                Column("spearman", "rank r", ".3f", "Spearman's, of finite rays"),
+                Column("spearman", "finite rays: rank r", ".3f", "Spearman's"),
             ]
             if finite is not None
             else []
         ),
-        Column("held_out", "fitted, held out", ".3f", "each tree from a fit to the others"),
+        Column(
+            "held_out",
+            "fitted, held out",
+            ".3f",
+            "each tree from α and a line fitted to the others",
+        ),
         Column("alpha", "α fitted", ".2f"),
         Column("estimate", "α estimated", ".2f"),
         Column("known", "known to", ".1%", known),

@@ -16,7 +16,12 @@ _AGREEMENT = (
     Column("pearson", "Pearson r", ".3f", "correlation over the trees"),
     Column("low", "low", ".3f", "lower end of the 95% bootstrap interval of r over the rays"),
     Column("high", "high", ".3f", "upper end of the 95% bootstrap interval of r over the rays"),
-    Column("held_out", "held out", ".3f", "r of trees predicted from a fit to the others"),
+    Column(
+        "held_out",
+        "held out",
+        ".3f",
+        "r of trees predicted from weights and a line fitted to the others",
+    ),
     Column("without_worst", "r without one", ".3f", "r without the tree that changes it most"),
     Column("spearman", "Spearman", ".3f", "rank correlation"),
     Column("kendall", "Kendall", ".3f", "rank correlation"),
