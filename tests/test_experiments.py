@@ -12,7 +12,7 @@ from conftest import scene_record, soup, tree_row
 import mibvh
 from mibvh.studies.analyse.builders import relative_to_best, splitting_builders
 from mibvh.studies.analyse.depth import remaining_relative
-from mibvh.studies.measure import rotation
+from mibvh.studies.measure import rotation, stopwatch
 from mibvh.studies.measure.depth import (
     SPLITS,
     DepthResult,
@@ -22,6 +22,7 @@ from mibvh.studies.measure.depth import (
 )
 from mibvh.studies.measure.rotation import RotationResult
 from mibvh.studies.measure.sensitivity import SensitivityResult
+from mibvh.studies.measure.times import times
 from mibvh.studies.paper.catalogue import (
     find_paper_scene,
     paper_comparison,
@@ -31,6 +32,7 @@ from mibvh.studies.paper.catalogue import (
 from mibvh.studies.paper.claims import claims
 from mibvh.studies.paper.published import published
 from mibvh.studies.record.claim import FEWEST_SCENES
+from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.report.tables import answers
 from mibvh.studies.report.tidy import tidy_table
 
@@ -238,6 +240,24 @@ def test_own_choices_give_the_study_s_own_r(full):
     assert counts["viewpoints"].tolist() == [views] * (views - 1) + [1]
     assert counts["leaf size"].index.tolist() == [1, 2, 4, 8, 16]
     assert counts["bounce"].index.tolist() == [1, 2, 3]
+
+
+def test_trees_that_two_builders_made_alike_tell_of_the_stopwatch(cornell, monkeypatch):
+    """Their difference counts as that of a tree timed twice: an error of every tree's time."""
+    rays = mibvh.diffuse_rays(cornell, width=24, height=16)
+    one, other = (mibvh.build(cornell.triangles, name) for name in ("bbvh", "lbvh"))
+    asked = []
+
+    def measure(launches, **options):
+        asked.append(options["same"])
+        return stopwatch.measure(launches, **options)
+
+    monkeypatch.setattr("mibvh.studies.measure.times.measure", measure)
+    options = StudyOptions(seconds=0.1, standard_error=1e-6)
+    trees = {"a": other, "b": one, "c": one, "d": other}
+    times(trees, cornell, rays, "scalar", options, lambda *stage: None)
+    # The first and the last tree have second names, 4 and 5.
+    assert asked == [[(0, 4), (3, 5), (1, 2), (0, 3)]]
 
 
 def test_leaf_sizes_and_bounces_against_the_library(full, cornell):

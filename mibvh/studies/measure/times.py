@@ -89,12 +89,17 @@ def times(
     report: Reporter,
     style: str = "single",
 ) -> TreeTimes:
-    """Time all trees of a scene, the first and the last a second time under other names."""
+    """Time all trees of a scene, the first and the last a second time under other names.
+
+    Where two builders made one and the same tree, their difference is an error, too.
+    """
     # A tree's records are made anew for its second name: they lie elsewhere in memory.
     names = list(trees)
     frame = Frame(scene, rays, trees, [*names, names[0], names[-1]])
     count = len(trees)
-    same = [(0, count), (count - 1, count + 1)]
+    digests = [trees[name].digest for name in names[:count]]
+    alike = [(digests.index(own), i) for i, own in enumerate(digests) if own in digests[:i]]
+    same = [(0, count), (count - 1, count + 1), *alike]
     found = time_frames([frame], lanes, options, report, same, style)
     return TreeTimes(
         found.ns[:count],
