@@ -48,7 +48,7 @@ _FOLDS = 4
 _OFF = 1e-5
 
 #: References that splitting is tried on, per triangle: those of greatest measure.
-_TRIALS = 0.2
+_TRIALS = 0.05
 
 #: Rays for a triangle, and fewest and most rays, where their number is not given.
 _DENSITY, _FEWEST, _MOST = 0.25, 30_000, 1_000_000
