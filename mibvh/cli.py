@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import importlib.util
+import itertools
 import json
 import os
 import sys
@@ -25,7 +26,7 @@ from rich.table import Table
 from rich.text import Text
 from typer.core import TyperGroup
 
-from mibvh.errors import MibvhError
+from mibvh.errors import MibvhError, users_code
 from mibvh.heartbeat import Heartbeat
 
 #: Exit code of a command that Ctrl-C ended, as of any program that it ends.
@@ -36,6 +37,7 @@ class _Commands(TyperGroup):
     """The commands; Ctrl-C ends them with a sentence rather than "Aborted!"."""
 
     def invoke(self, ctx: Any) -> Any:
+        _keep_inputs(ctx.args)
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
@@ -44,6 +46,15 @@ class _Commands(TyperGroup):
             said = "interrupted; the same command goes on" if goes_on else "interrupted"
             sys.stderr.write(f"mibvh: {said}\n")
             raise SystemExit(INTERRUPTED) from None
+
+
+def _keep_inputs(arguments: list[str]) -> None:
+    """Refuse to write to a file that is also read."""
+    for option, output in itertools.pairwise(arguments):
+        if option in ("-o", "--output") and os.path.isfile(output):
+            named = [a for a in arguments if os.path.isfile(a) and os.path.samefile(a, output)]
+            if len(named) > 1:
+                raise MibvhError(f"{output} is what is read; name another file for the output")
 
 
 app = typer.Typer(
@@ -177,25 +188,11 @@ def _load_plugin(path: Path) -> None:
     module = importlib.util.module_from_spec(spec)
     sys.modules[path.stem] = module
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:  # whatever the user's code raises
+        with users_code("--plugin ", str(path)):
+            spec.loader.exec_module(module)
+    except MibvhError:
         del sys.modules[path.stem]
-        raise MibvhError(f"--plugin {_place(error, path)}: {_said(error)}") from error
-
-
-def _place(error: Exception, path: Path) -> str:
-    """File and line at which a plugin failed: its own last line, or that of a syntax error."""
-    if isinstance(error, SyntaxError) and error.filename:
-        return f"{error.filename}, line {error.lineno}"
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [f for f in frames if Path(f.filename).parent == path.resolve().parent]
-    own = own or [f for f in frames if f.filename == str(path)]
-    return f"{own[-1].filename}, line {own[-1].lineno}" if own else str(path)
-
-
-def _said(error: Exception) -> str:
-    text = error.msg if isinstance(error, SyntaxError) else " ".join(str(error).split())
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+        raise
 
 
 def _version(asked: bool) -> None:
@@ -463,7 +460,7 @@ def audit_command(
     as_json: Json = False,
 ) -> None:
     """Check a tree and its numbers by independent code; exit code 3 if a check fails."""
-    from mibvh import RaySet, read_tree
+    from mibvh import read_rays, read_tree
     from mibvh.audit import audit
 
     loaded = _load(scene, define)
@@ -472,7 +469,7 @@ def audit_command(
         audited = audit(
             loaded,
             read_tree(tree, "npz"),
-            RaySet.load(rays) if rays else None,
+            read_rays(rays) if rays else None,
             seed=seed,
             progress=_show(bar, task),
         )

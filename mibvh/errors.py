@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
-from collections.abc import Iterable
+import inspect
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 
 
 class MibvhError(ValueError):
@@ -46,3 +50,47 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """
     near = difflib.get_close_matches(name.lower(), list(known), n=1)
     return f" (did you mean {near[0]!r}?)" if near else ""
+
+
+@contextlib.contextmanager
+def users_code(what: str, file: str) -> Iterator[None]:
+    """Turn whatever a user's code raises into one sentence.
+
+    Parameters
+    ----------
+    what : str
+        What the sentence begins with.
+    file : str
+        Where the code stands; the sentence names the last line of its folder that was reached.
+
+    Raises
+    ------
+    MibvhError
+    """
+    try:
+        yield
+    except MemoryError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise MibvhError(f"{what}{_place(error, Path(file))}: {_said(error)}") from error
+
+
+def file_of(function: Callable[..., object]) -> str:
+    """File that a function stands in; empty where that is not known."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return code.co_filename if code else ""
+
+
+def _place(error: BaseException, path: Path) -> str:
+    """File and line at which a user's code failed: its own last line, or a syntax error's."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}, line {error.lineno}"
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if Path(f.filename).parent == path.resolve().parent]
+    own = own or [f for f in frames if f.filename == str(path)]
+    return f"{own[-1].filename}, line {own[-1].lineno}" if own else str(path)
+
+
+def _said(error: BaseException) -> str:
+    text = error.msg if isinstance(error, SyntaxError) else " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

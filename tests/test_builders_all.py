@@ -244,8 +244,24 @@ def test_user_builder_is_treated_like_the_others():
         (([0, 1], [1, 2]), "there are 4 places, and 0 triangles have none"),
         (([0, 1], 3), "there are 3 places, and 1 triangles have none"),
         (([0, 1], -1), "there are 3 places, and 1 triangles have none"),
+        (([0, 1], 2.0), "ids of triangles, not 2.0"),
+        (([0, 1], True), "ids of triangles, not True"),
+        (None, "ids of triangles, not None"),
+        ([[0], [1, 2]], "ids of triangles, not "),
     ],
-    ids=["empty", "triple", "single", "lost", "twice", "beyond", "negative"],
+    ids=[
+        "empty",
+        "triple",
+        "single",
+        "lost",
+        "twice",
+        "beyond",
+        "negative",
+        "float",
+        "bool",
+        "none",
+        "ragged",
+    ],
 )
 def test_nested_pairs_that_are_no_tree_are_refused(nested, said):
     with pytest.raises(MibvhError, match=said):

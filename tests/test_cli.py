@@ -183,6 +183,37 @@ def test_a_plugin_that_fails_is_one_sentence(cli, tmp_path, text, said):
     assert "failing" not in sys.modules
 
 
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("raise ValueError('kaboom\\nand more')", "line 4: ValueError: kaboom and more"),
+        ("raise SystemExit(0)", "line 4: SystemExit: 0"),
+        ("triangles.corners[0] = 5", "line 4: ValueError: "),
+        ("return None", "builder boom: a leaf must be the ids of triangles, not None"),
+    ],
+)
+def test_a_builder_that_fails_is_one_sentence(cli, tmp_path, body, said):
+    head = "import mibvh\n@mibvh.builder('boom')\ndef boom(triangles, options, context):\n"
+    (tmp_path / "boom.py").write_text(f"{head}    {body}\n")
+    command = ("build", "cornell@100", "--builder", "boom", "-o", tmp_path / "tree.npz")
+    code, out, err = cli("--plugin", tmp_path / "boom.py", *command)
+    assert (code, out) == (2, "")
+    assert said in err
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "tree.npz").exists()
+
+
+def test_what_is_read_is_not_written_to(cli, tmp_path):
+    mesh = tmp_path / "one.obj"
+    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    before = mesh.read_bytes()
+    (tmp_path / "other.obj").symlink_to(mesh)
+    for output in (mesh, tmp_path / "other.obj"):
+        code, _, err = cli("build", mesh, "-o", output)
+        assert (code, mesh.read_bytes()) == (2, before)
+        assert f"{output} is what is read" in err
+
+
 def test_the_version(cli):
     code, out, _ = cli("--version")
     assert (code, out) == (0, f"mibvh {mibvh.__version__}\n")

@@ -108,6 +108,18 @@ def test_the_root_may_be_the_last_node(small_soup):
     assert equal(mibvh.Tree.from_arrays(**flipped, references=a["references"]), tree)
 
 
+@pytest.mark.parametrize(
+    ("root", "left", "said"),
+    [(None, {0: 0}, "its own ancestor"), ("0", {}, "the number of a node, not '0'")],
+)
+def test_a_root_that_is_none_is_refused(small_soup, root, left, said):
+    a = mibvh.build(small_soup, "bbvh").to_arrays()
+    changed = a["left"].copy()
+    changed[list(left)] = list(left.values())
+    with pytest.raises(mibvh.MibvhError, match=said):
+        mibvh.Tree.from_arrays(**{**a, "left": changed}, root=root)
+
+
 def test_wider_boxes_are_rounded_outwards(small_soup):
     tree = mibvh.build(small_soup, "bbvh")
     a = tree.to_arrays()
@@ -125,7 +137,7 @@ def test_wider_boxes_are_rounded_outwards(small_soup):
         ({"left": {0: 99999}}, "node 0 has the children 99999 and 2"),
         ({"right": {0: -3}}, "and -3, which are not among"),
         ({"right": {0: 1}}, "node 1 is reached twice"),
-        ({"left": {1: 0}}, "are in no leaf"),
+        ({"left": {1: 0}}, "its own ancestor"),
         ({"count": {"leaf": 0}}, "has no references"),
         ({"first": {"leaf": 10**6}}, "there are 60"),
         ({"first": {"leaf": 2**40}}, "there are 60"),

@@ -11,6 +11,7 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
@@ -139,9 +140,7 @@ class Draft:
         while work:
             node, value = work.pop()
             if not isinstance(value, tuple):
-                ids = np.atleast_1d(np.asarray(value, dtype=np.int64))
-                if ids.ndim > 1 or len(ids) == 0:
-                    raise MibvhError(f"a leaf must be the ids of triangles, not {value!r}")
+                ids = _ids(value)
                 if len(ids) == 1:
                     reference[node] = int(ids[0])
                     continue
@@ -168,3 +167,16 @@ class Draft:
             np.array(right, np.int32),
             np.array(reference, np.int32),
         )
+
+
+def _ids(value: Any) -> npt.NDArray[np.int64]:
+    """Triangle ids of a leaf, one or several."""
+    try:
+        ids = np.atleast_1d(np.asarray(value))
+    except (ValueError, TypeError, RecursionError):
+        ids = np.empty(0)
+    if ids.ndim > 1 or len(ids) == 0 or ids.dtype.kind not in "iu":
+        said = repr(value)
+        said = said if len(said) < 80 else f"{said[:77]}..."
+        raise MibvhError(f"a leaf must be the ids of triangles, not {said}")
+    return ids.astype(np.int64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib
 import time
@@ -14,7 +15,7 @@ from mibvh.builders.draft import Draft
 from mibvh.builders.finish import finish
 from mibvh.builders.sharing import share, spared
 from mibvh.code import code_digest
-from mibvh.errors import MibvhError, did_you_mean
+from mibvh.errors import MibvhError, did_you_mean, file_of, users_code
 from mibvh.measures import Area, Measure
 from mibvh.memory import require_memory, require_references
 from mibvh.tree import Tree
@@ -237,10 +238,20 @@ class Builder:
         )
 
     def _made(self, triangles: Any, options: Options, context: Context) -> Draft | Tree:
-        result = self.function(triangles, options, context)
+        with self.guard(self.function):
+            result = self.function(triangles, options, context)
         if isinstance(result, Draft | Tree):
             return result
-        return Draft.from_nested(result, triangles)
+        try:
+            return Draft.from_nested(result, triangles)
+        except MibvhError as error:
+            raise MibvhError(f"builder {self.name}: {error}") from error
+
+    def guard(self, function: Callable[..., Any]) -> contextlib.AbstractContextManager[None]:
+        """Whatever a user's own builder raises within becomes one sentence."""
+        if self.name in _BUNDLED or self.name in _LATER:
+            return contextlib.nullcontext()
+        return users_code(f"builder {self.name} failed: ", file_of(function))
 
     def code(self) -> str | None:
         """What stands for the builder's code in the key of a kept tree; None if nothing does.

@@ -65,7 +65,8 @@ def build_wide(
     _warm_up(entry, width)
     report("building", 0.0)
     started = time.perf_counter()
-    tree = entry.wide(triangles, chosen, width)
+    with entry.guard(entry.wide):
+        tree = entry.wide(triangles, chosen, width)
     seconds = time.perf_counter() - started
     origin = origin_of(builder, chosen, triangles, {"references": len(tree.references)})
     meta = {**origin, "c_box": C_BOX, "build_seconds": seconds}
@@ -79,4 +80,5 @@ def build_wide(
 def _warm_up(entry: Builder, width: int) -> None:
     """Run a builder once, so that the seconds of a tree hold no compilation."""
     if entry.wide is not None:
-        entry.wide(next_to_nothing(), entry.options(), width)
+        with entry.guard(entry.wide):
+            entry.wide(next_to_nothing(), entry.options(), width)

@@ -45,6 +45,8 @@ def renumbered(
     ids = _ids(references, leaf, first, count)
     lower, upper = _box("lower", lower, nodes, -np.inf), _box("upper", upper, nodes, np.inf)
     left = np.where(leaf, -1, left)
+    if not isinstance(root, int | np.integer | None):
+        raise MibvhError(f"root is the number of a node, not {root!r}")
     start = _root(left, right, nodes) if root is None else int(root)
     if not 0 <= start < nodes:
         raise MibvhError(f"the root, {start}, is not among the {nodes} nodes")
@@ -63,6 +65,8 @@ def renumbered(
                 references=len(ids),
             )
         )
+    if root is None and not (order == 0).any():
+        raise MibvhError("node 0 is its own ancestor, or its parent is: root= must name the root")
     given = ids[taken]
     meta = {"builder": name, "options": {}, "c_inner": 1.2, "c_tri": 1.0, "report": {}}
     if triangles := _dense(given):

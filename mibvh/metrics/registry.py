@@ -7,6 +7,7 @@ A :class:`Metric` computes some quantities from a tree alone. A new metric is on
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import importlib
@@ -15,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from mibvh.errors import MibvhError
+from mibvh.errors import MibvhError, file_of, users_code
 from mibvh.metrics.epo import OverlapResult, overlap
 from mibvh.metrics.sah import node_costs, sah_per_node
 from mibvh.tree import Tree
@@ -129,10 +130,14 @@ class Metric:
         MibvhError
             If the returned quantities are not the declared ones.
         """
+        own = self.name in _added
+        failed = users_code(f"metric {self.name} failed: ", file_of(self.compute))
+        with failed if own else contextlib.nullcontext():
+            found = self.compute(subject)
         # Plain numbers: records are written as JSON.
         values = {
             name: value.item() if isinstance(value, np.generic) else value
-            for name, value in self.compute(subject).items()
+            for name, value in found.items()
         }
         declared = {quantity.name for quantity in self.quantities}
         if wrong := sorted(declared ^ set(values)):
