@@ -96,6 +96,28 @@ def test_closed_boxes_count_coplanar_triangles():
     assert wall == pytest.approx(triangles.areas[1] / triangles.areas.sum(), rel=1e-12)
 
 
+def test_neighbours_that_share_an_edge_are_not_clipped():
+    found = overlap(hand_tree(), hand_triangles())
+    assert found.visits == 6  # the sibling of either leaf, and that for each triangle
+    assert found.clips == found.pairs == 0
+
+
+def test_a_subtree_in_a_foreign_box_is_not_walked():
+    """Specks along the diagonal of a cube, and a triangle across the cube in its own leaf."""
+    at = (np.arange(1024) + 0.25)[:, None, None] / 1024
+    speck = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 1]]) * 2.0**-12
+    wide = np.array([[[0, 0, 0], [1, 0, 1], [0, 1, 1]]])
+    triangles = mibvh.Triangles(np.concatenate([at + speck, wide]).astype(np.float32))
+    tree = mibvh.build(triangles, "bbvh", max_leaf=1)
+    (around,) = np.flatnonzero(tree.is_leaf & (tree.upper - tree.lower > 0.9).all(axis=1))
+    found = overlap(tree, triangles, threads=1)
+    expected = triangles.areas[:-1].sum() / triangles.areas.sum()
+    assert found.fraction[around] == pytest.approx(expected, rel=1e-9)
+    # Each node tests its sibling. Most siblings only touch; the leaf around the specks gets their
+    # areas in one sum, and no speck tests it.
+    assert found.visits < 1.1 * len(tree)
+
+
 def clipped_area(corners, lower, upper):
     """Area of a triangle inside a closed box: Sutherland and Hodgman, plainly."""
     polygon = [np.asarray(c, np.float64) for c in corners]

@@ -72,6 +72,20 @@ def test_epo_is_the_same_for_any_number_of_threads_and_blocks(name, monkeypatch)
         assert one.pairs == several.pairs
 
 
+@pytest.mark.parametrize("builder", ["lbvh", "sbvh"])
+def test_epo_of_a_thicket(builder):
+    """Hundreds of nodes reach into most boxes: more than are passed on in place of one."""
+    rng = np.random.default_rng(0)
+    middle, along = rng.normal(size=(2, 1200, 1, 3))
+    blade = np.array([-1, 1, 1.01])[:, None]
+    corners = 0.2 * middle + along * blade + 0.01 * rng.normal(size=(1200, 3, 3))
+    corners[::3] = 0.1 * middle[::3] + 0.1 * rng.normal(size=(400, 3, 3))
+    triangles = mibvh.Triangles(corners.astype(np.float32))
+    tree = mibvh.build(triangles, builder)
+    expected = twins.foreign_fractions(tree, triangles)
+    np.testing.assert_allclose(overlap(tree, triangles).fraction, expected, rtol=1e-9, atol=1e-14)
+
+
 @every_cut
 def test_the_estimate_of_epo_covers_the_exact_value(name, kind):
     """Within 4 standard errors: a false alarm in 16,000 runs each, and the seed is fixed."""

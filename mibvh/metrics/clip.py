@@ -168,3 +168,40 @@ def touches(limits, row, box, node):
         and limits[a + _TWO] <= box[d + _TWO]
         and limits[c + _TWO] >= box[b + _TWO]
     )
+
+
+@njit(inline="always")
+def lies_in(limits, row, box, node):
+    """Whether the closed box in a row of ``limits`` lies in that of a node."""
+    a, b = _SIX * np.uint64(row), _SIX * np.uint64(node)
+    c, d = a + _THREE, b + _THREE
+    return (
+        limits[a] >= box[b]
+        and limits[c] <= box[d]
+        and limits[a + _ONE] >= box[b + _ONE]
+        and limits[c + _ONE] <= box[d + _ONE]
+        and limits[a + _TWO] >= box[b + _TWO]
+        and limits[c + _TWO] <= box[d + _TWO]
+    )
+
+
+@njit(inline="always")
+def meets(limits, row, box, node):
+    """Whether the polygon with the box in a row of ``limits`` may have an area in a node's box.
+
+    A polygon that ends at a face of the node has an edge or a corner there, but no area: neighbours
+    in a mesh do so all the time. One that lies in the face has its whole area there.
+    """
+    a, b = _SIX * np.uint64(row), _SIX * np.uint64(node)
+    c, d = a + _THREE, b + _THREE
+    return not (
+        _apart(limits[a], limits[c], box[b], box[d])
+        or _apart(limits[a + _ONE], limits[c + _ONE], box[b + _ONE], box[d + _ONE])
+        or _apart(limits[a + _TWO], limits[c + _TWO], box[b + _TWO], box[d + _TWO])
+    )
+
+
+@njit(inline="always")
+def _apart(low, high, least, most):
+    """Whether an interval has no length in another; for a point, whether it lies outside."""
+    return not (low < most and high > least) and (low != high or low > most or high < least)

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from mibvh.errors import MibvhError
 from mibvh.memory import BYTES, require_memory
-from mibvh.metrics.overlap_walk import Nodes, walk, workspace
+from mibvh.metrics.overlap_walk import Nodes, add_up, walk, workspace
 from mibvh.metrics.points import epo_at_ends, estimate_epo, triangle_positions
 from mibvh.metrics.sah import node_costs
 from mibvh.parallel import run_blocks, thread_count
@@ -131,6 +131,19 @@ def overlap(
     counts = np.zeros((workers, 3), np.int64)
     work_on = [workspace(tree.depth) for _ in range(workers)]
     unit = 1.0 / (total * _UNIT)
+    below = np.zeros((0, 2), np.int64)  # fragments are measured one by one
+    if not fragments:
+        below = add_up(
+            nodes,
+            tree.parents,
+            walked,
+            starts,
+            positions,
+            tree.references,
+            triangles.areas,
+            density,
+            unit,
+        )
 
     def work(worker: int, begin: int, end: int) -> None:
         counts[worker] += walk(
@@ -145,6 +158,7 @@ def overlap(
             tree.references,
             nodes,
             unit,
+            below,
             work_on[worker],
             sums[worker],
         )

@@ -5,9 +5,11 @@ from the root down to the *junction*: the last node that has all of the triangle
 it. A triangle with one reference has a trunk only, and its leaf is the junction. Foreign subtrees
 hang off the trunk and off the paths below it.
 
-- Off the trunk: the siblings that touch a node's box are passed down from node to node. The trunk
-  is thus walked once for all references below a node, and few siblings are left at the junction.
-  The junction's box contains the whole triangle.
+- Off the trunk: the foreign nodes that touch a node's box, siblings at first, are passed down from
+  node to node. The trunk is thus walked once for all references below a node, and few foreign
+  nodes are left at the junction. The junction's box contains the whole triangle: a foreign node
+  around that of a node on the trunk holds all triangles whose junctions are below. It gets their
+  areas in one sum, and its children are passed down in its place.
 - Off the paths below the junction: these are walked for each triangle. On the way down the
   triangle is clipped to its own node. Its part in a foreign node there need not be near any one of
   its leaves.
@@ -20,7 +22,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mibvh._jit import njit
-from mibvh.metrics.clip import Polygons, area_of, clip, measure, put_triangle, room, touches
+from mibvh.metrics.clip import (
+    Polygons,
+    area_of,
+    clip,
+    lies_in,
+    measure,
+    meets,
+    put_triangle,
+    room,
+    touches,
+)
+
+#: A node around others is replaced by its children only if fewer than this many would be passed on.
+_PASSED_ON = 128
 
 
 class Nodes(NamedTuple):
@@ -52,11 +67,11 @@ class Work(NamedTuple):
         A list of one node.
     path : (., 4) int32
         Nodes to visit on the way to the block's leaves: node, depth, and the range in
-        ``siblings`` of those siblings, its own and its ancestors', that touch it.
+        ``passed`` of the foreign nodes that touch it.
     at : (., 3) int32
-        The current node of each depth, and its range in ``siblings``.
-    siblings : int32
-        The lists of siblings.
+        The current node of each depth, and its range in ``passed``.
+    passed : int32
+        The lists of foreign nodes.
     """
 
     polygons: Polygons
@@ -67,7 +82,7 @@ class Work(NamedTuple):
     alone: Any
     path: Any
     at: Any
-    siblings: Any
+    passed: Any
 
 
 def workspace(depth: int) -> Work:
@@ -83,7 +98,7 @@ def workspace(depth: int) -> Work:
         alone=np.zeros(1, i32),
         path=np.zeros((size, 4), i32),
         at=np.zeros((depth + 2, 3), i32),
-        siblings=np.zeros((depth + 2) ** 2, i32),
+        passed=np.zeros(2 * (depth + 2) * (_PASSED_ON + depth + 2), i32),
     )
 
 
@@ -98,7 +113,7 @@ def _foreign(nodes, subtrees, low, high, row, base, weight, work, sums):
     pairs = visits = clips = 0
     for s in range(low, high):
         visits += 1
-        if not touches(polygons.limits, row, box, subtrees[s]):
+        if not meets(polygons.limits, row, box, subtrees[s]):
             continue
         stack[0], stack_level[0], top = subtrees[s], base, 1
         while top > 0:
@@ -124,7 +139,7 @@ def _foreign(nodes, subtrees, low, high, row, base, weight, work, sums):
             holder[level] = inside
             for child in range(left[node], left[node] + 2):
                 visits += 1
-                if touches(polygons.limits, inside, box, child):
+                if meets(polygons.limits, inside, box, child):
                     stack[top], stack_level[top] = child, level + 1
                     top += 1
     return pairs, visits, clips
@@ -165,7 +180,7 @@ def _below(nodes, junction, positions, begin, end, row, weight, work, sums):
                     own[top, 0], own[top, 1] = child, level + 1
                     own[top, 2], own[top, 3] = some, end_of_some
                     top += 1
-            elif touches(polygons.limits, h, box, child):
+            elif meets(polygons.limits, h, box, child):
                 alone[0] = child
                 more = _foreign(nodes, alone, 0, 1, h, level + 1, weight, work, sums)
                 pairs, visits, clips = pairs + more[0], visits + more[1], clips + more[2]
@@ -185,18 +200,21 @@ def walk(
     references,
     nodes,
     unit,
+    below,
     work,
     sums,
 ):
     """Add the foreign areas of the references ``begin`` to ``end`` to ``sums`` (M,) int64.
 
-    Thirteen arguments: with those beside ``nodes`` and ``work`` in tuples too, EPO took 8 % longer.
+    Fourteen arguments: with those beside ``nodes`` and ``work`` in tuples too, EPO took 8 % longer.
     ``walked`` marks the references that stand for their triangle: the first of each. With
     ``cut_to_leaf`` every reference stands for the part of its triangle in its leaf's box.
+    ``below`` is from :func:`add_up`; the block with a node's first reference adds the node's sum.
     """
     polygons, limits = work.polygons, work.polygons.limits
     box, left, first, count = nodes.box, nodes.left, nodes.first, nodes.count
-    path, at, siblings = work.path, work.at, work.siblings
+    path, at, passed = work.path, work.at, work.passed
+    stack = work.stack
     pairs = visits = clips = 0
     path[0, 0], path[0, 1], path[0, 2], path[0, 3], top = 0, 0, 0, 0, 1
     while top > 0:
@@ -206,20 +224,38 @@ def walk(
             continue
         at[level, 0], at[level, 1], at[level, 2] = node, low, high
         if left[node] >= 0:
-            # -- pass on the siblings that touch each child, and the other child. Both lists are
-            # written now, one behind the other, and stay valid until both children are finished
+            # -- pass on the foreign nodes that touch each child, the other child among them. Both
+            # lists are written now, one behind the other, and last until both children are finished
             for c in range(2):
                 child, other = left[node] + c, left[node] + 1 - c
                 place = high if c == 0 else path[top - 1, 3]
                 path[top, 0], path[top, 1], path[top, 2] = child, level + 1, place
                 for k in range(6):
                     limits[k] = box[6 * child + k]
+                mine = not cut_to_leaf and begin <= first[child] and first[child] < end
                 for i in range(low, high + 1):
-                    sibling = siblings[i] if i < high else other
-                    visits += 1
-                    if touches(limits, 0, box, sibling):
-                        siblings[place] = sibling
-                        place += 1
+                    stack[0], waiting = passed[i] if i < high else other, 1
+                    while waiting > 0:
+                        waiting -= 1
+                        foreign = stack[waiting]
+                        visits += 1
+                        if not touches(limits, 0, box, foreign):
+                            continue
+                        others = place - path[top, 2] + waiting + high - i
+                        if (
+                            cut_to_leaf
+                            or others >= _PASSED_ON
+                            or not lies_in(limits, 0, box, foreign)
+                        ):
+                            passed[place] = foreign
+                            place += 1
+                            continue
+                        if mine:
+                            sums[foreign] += below[child, 0]
+                            pairs += below[child, 1]
+                        if left[foreign] >= 0:
+                            stack[waiting], stack[waiting + 1] = left[foreign], left[foreign] + 1
+                            waiting += 2
                 path[top, 3] = place
                 top += 1
             continue
@@ -242,9 +278,35 @@ def walk(
             ):
                 up -= 1
             weight = weights[t] * unit
-            found = _foreign(nodes, siblings, at[up, 1], at[up, 2], row, 0, weight, work, sums)
+            found = _foreign(nodes, passed, at[up, 1], at[up, 2], row, 0, weight, work, sums)
             pairs, visits, clips = pairs + found[0], visits + found[1], clips + found[2]
             if up < level:
                 found = _below(nodes, at[up, 0], positions, start, stop, row, weight, work, sums)
                 pairs, visits, clips = pairs + found[0], visits + found[1], clips + found[2]
     return pairs, visits, clips
+
+
+@njit
+def add_up(nodes, parents, walked, starts, positions, references, areas, weights, unit):
+    """Sum up the triangles whose junction is a node or below it.
+
+    Returns (M, 2) int64: their areas in the walk's units, and how many have one.
+    """
+    left, first, count = nodes.left, nodes.first, nodes.count
+    below = np.zeros((len(left), 2), np.int64)
+    for node in range(len(left) - 1, -1, -1):  # children before parents
+        if left[node] >= 0:
+            for k in range(2):
+                below[node, k] += below[left[node], k] + below[left[node] + 1, k]
+            continue
+        for position in range(first[node], first[node] + count[node]):
+            t = references[position]
+            amount = areas[t] * (weights[t] * unit)
+            if not walked[position] or amount == 0.0:
+                continue
+            junction, last = node, positions[starts[t + 1] - 1]
+            while last >= first[junction] + count[junction]:
+                junction = parents[junction]
+            below[junction, 0] += np.int64(amount + 0.5)
+            below[junction, 1] += 1
+    return below
