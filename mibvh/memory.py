@@ -19,7 +19,7 @@ BYTES = {
     "rays": 290.0,
     "bounce": 120.0,
     "trace": 456.0,
-    "epo": 440.0,
+    "epo": 480.0,
     "tree": 64.0,
     "records": 110.0,
     "turned": 120.0,
