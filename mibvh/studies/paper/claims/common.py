@@ -46,6 +46,8 @@ def mean_and_least(row: pd.Series) -> str:
     """Mean and least r of a row of an overview."""
     if not np.isfinite(row["mean"]):
         return NONE
+    if row["scenes"] == 1:
+        return f"r {row['mean']:.3f}"
     return r_words(row["mean"], row["min"])
 
 
