@@ -24,7 +24,7 @@ from mibvh.studies.report.tables.prediction import NAMED, times_known
 #: Scenes that are told one by one; of more there is a sum.
 _FEW = 3
 _COUNTED = "counted cost (per ray, 1.2 for an inner node visited and 1.0 for a triangle tested)"
-_ALONE = "SAH is the cost of endless lines through the scene"
+_ALONE = "SAH is the cost of endless random lines through the scene"
 #: Why predictors say what they say.
 _WHY = {
     "finite rays": f"{_ALONE}; rays are shorter and begin on surfaces, where boxes overlap. So "
@@ -89,8 +89,8 @@ def _more(over: np.ndarray) -> str:
 def _believed(records: Records, sure: int) -> str:
     """How many leads are beyond their errors, by counts and by the stopwatch."""
     line = (
-        "Can it be believed? Counts are exact for their rays; other rays would change no winner "
-        f"in {sure} of {len(records)} scenes (a lead of twice its error)"
+        "Can it be believed? Counts are exact for their rays, and the winner would stay with "
+        f"other rays in {sure} of {len(records)} scenes (a lead beyond twice its error)"
     )
     timed = wins_in_time(records, SCALAR)
     if not timed.scenes:

@@ -26,6 +26,7 @@ from mibvh.studies.analyse.correlations import LANES, overview, worst_error
 from mibvh.studies.analyse.rotation import rotation_factors
 from mibvh.studies.analyse.sweep import sweeps
 from mibvh.studies.measure.depth import DepthResult
+from mibvh.studies.record.claim import FEWEST_SCENES
 from mibvh.studies.record.experiment import experiments
 from mibvh.studies.record.quantities import targets
 from mibvh.studies.record.scene import Records, SceneRecord
@@ -143,6 +144,7 @@ def write_report(
         where=groups.get(DEPTH, []),
         claims=claims,
         unjudged=_unjudged(claims),
+        fewest=FEWEST_SCENES,
         sections=[(title, group) for title, group in groups.items() if title not in first],
         scenes=[
             _scene(draw, record, correlations, of_scene)
@@ -205,7 +207,9 @@ def _out_of_time(records: Records) -> str:
         timings = [record.timing[lanes.key] for record in records]
         over = sum(not timing.complete for timing in timings if timing.portions)
         if over:
-            told.append(f"{lanes.title} in {over} of {len(records)}")
+            told.append(
+                f"{lanes.title} in {over} of {len(records)} scene{'s' * (len(records) != 1)}"
+            )
     error = records[-1].options.standard_error
     return f"before the error asked for (±{error:.1%}) was reached: {', '.join(told)}" * bool(told)
 
@@ -267,7 +271,8 @@ def _gloss(name: str) -> str:
     if builder_of(name) not in all_names():
         return ""
     one = get(builder_of(name))
-    return f"{one.summary} ({one.source})" if one.source else one.summary
+    summary = one.summary.replace("`", "")
+    return f"{summary} ({one.source})" if one.source else summary
 
 
 def _scene(
