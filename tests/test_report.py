@@ -32,6 +32,7 @@ from mibvh.studies.report.answer import answer
 from mibvh.studies.report.axes import Axis, Panel
 from mibvh.studies.report.drawing import Dot, Drawing, Part, Stroke, Words
 from mibvh.studies.report.plots import by_depth, winners
+from mibvh.studies.report.tables import answers
 from mibvh.studies.report.tables.prediction import NAMED, by_traversal, times_known
 from mibvh.studies.run import remake_report
 
@@ -325,3 +326,14 @@ def test_the_page_stands_alone(small_study):
     inside = set(re.findall(r'id="([^"]+)"', page))
     assert set(re.findall(r'href="#([^"]+)"', page)) <= inside
     assert set(re.findall(r"url\(#([^)]+)\)", page)) <= inside
+
+
+def test_one_scene_is_told_without_a_worst(small_study):
+    record = small_study.scenes[0]
+    of = small_study.correlations[small_study.correlations["scene"] == record.scene]
+    lines = answer([record], of)
+    assert any(line.startswith("Predict with ") for line in lines)
+    assert not [line for line in lines if "worst" in line]
+    claims = next(sheet for sheet in answers([record], of) if sheet.name == "claims")
+    ours = "\n".join(claims.frame["ours"])
+    assert not re.search(r"on average, [\d.]+ at worst|\b(\d\.\d\d) to \1\b", ours)

@@ -157,12 +157,11 @@ def _why(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[str]:
     alpha = of["alpha"].dropna()
     if not len(alpha):
         return
-    mix = "The paper's mix is (1 − α) SAH + α EPO (end-point overlap: the cost of nodes that hold "
-    mix += "a surface point, but not its triangle)"
-    if len(alpha) == 1:
-        yield f"{mix}; the α that fits best is {alpha.iloc[0]:.2f}"
-    else:
-        yield (
-            f"{mix}; the α that fits best is another in each scene, {alpha.min():.2f} to "
-            f"{alpha.max():.2f}"
-        )
+    fits = f"{alpha.iloc[0]:.2f}"
+    if len(alpha) > 1:
+        fits = f"another in each scene, {alpha.min():.2f} to {alpha.max():.2f}"
+    yield (
+        "fitted and estimated are the paper's mix, (1 − α) SAH + α EPO (end-point overlap: the "
+        "cost of nodes that hold a surface point, but not its triangle), α fitted to the trees or "
+        f"taken from the rays' length; the α that fits best is {fits}"
+    )

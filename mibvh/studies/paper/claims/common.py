@@ -46,13 +46,13 @@ def mean_and_least(row: pd.Series) -> str:
     """Mean and least r of a row of an overview."""
     if not np.isfinite(row["mean"]):
         return NONE
-    if row["scenes"] == 1:
-        return f"r {row['mean']:.3f}"
     return r_words(row["mean"], row["min"])
 
 
 def r_words(mean: float, least: float) -> str:
-    """Mean and least r over scenes, in words."""
+    """Mean and least r over scenes, in words; they are the same over one scene."""
+    if mean == least:
+        return f"r {mean:.3f}"
     return f"r {mean:.3f} on average, {least:.3f} at worst"
 
 
