@@ -16,13 +16,24 @@ from PIL import Image
 
 from mibvh.errors import MibvhError
 from mibvh.metrics.predictors import predictors
+from mibvh.studies.analyse.advice import Advice, advice
 from mibvh.studies.analyse.correlations import SCALAR
-from mibvh.studies.analyse.winners import mean_cost_over_best, winner, winner_in_time, wins
+from mibvh.studies.analyse.winners import (
+    InTime,
+    cost_over_best,
+    mean_cost_over_best,
+    winner,
+    winner_in_time,
+    wins,
+    wins_in_time,
+)
 from mibvh.studies.record.sheet import Column, Sheet
 from mibvh.studies.report.answer import answer
 from mibvh.studies.report.axes import Axis, Panel
-from mibvh.studies.report.drawing import Dot, Drawing, Part, Words
-from mibvh.studies.report.plots import by_depth
+from mibvh.studies.report.drawing import Dot, Drawing, Part, Stroke, Words
+from mibvh.studies.report.plots import by_depth, winners
+from mibvh.studies.report.tables import answers
+from mibvh.studies.report.tables.prediction import NAMED, by_traversal, times_known
 from mibvh.studies.run import remake_report
 
 SHEET = Sheet(
@@ -183,8 +194,94 @@ def test_the_winner_and_its_lead():
     assert str(timed).startswith("b or a (1.0% ± 2.9% apart)")
     assert wins([record, record]) == {"a": 2}
     assert mean_cost_over_best([record]) == pytest.approx({"a": 1, "b": 1.1, "c": 2})
+    assert cost_over_best([record, record])["b"] == pytest.approx([1.1, 1.1])
+    assert wins_in_time([record], SCALAR) == InTime(same=0, another=0, open=1)
+    sure = [dataclasses.replace(t, values={**t.values, "scalar_error": 1e-4}) for t in trees]
+    assert wins_in_time([record, scene_record(sure)], SCALAR) == InTime(0, 1, 1)
+    agrees = [sure[0].with_values(scalar_ns=90.0), *sure[1:]]
+    assert wins_in_time([scene_record(agrees)], SCALAR) == InTime(1, 0, 0)
     alone = scene_record([dataclasses.replace(trees[0], cost_groups=[])])
     assert str(winner(alone)) == "a"
+
+
+def _correlations(r: dict[str, list[float]], trees: int = 9) -> pd.DataFrame:
+    return pd.DataFrame(
+        [
+            {
+                "scene": f"scene {i}",
+                "measurement": "counted_cost",
+                "predictor": name,
+                "pearson": value,
+                "trees": trees,
+            }
+            for name, values in r.items()
+            for i, value in enumerate(values)
+        ]
+    )
+
+
+def test_a_difference_within_the_noise_gives_no_advice():
+    many = {"SAH": [0.94] * 16, "finite rays": [0.990] * 16, "finite by lines": [0.992] * 16}
+    found = advice(_correlations(many))
+    assert found == Advice("finite rays", "finite by lines", ("finite by lines",))
+    # arctanh(.98) - arctanh(.94) is .56; twice the error is 2 sqrt(2 / 6 / 16) = .29, and of
+    # one scene 1.15.
+    worse = {"SAH": [0.98] * 16, "finite rays": [0.94] * 16}
+    assert advice(_correlations(worse)) == Advice("SAH", "SAH", ())
+    one = {name: of[:1] for name, of in worse.items()}
+    assert advice(_correlations(one)) == Advice("finite rays", "SAH", ("SAH",))
+    # Three trees tell nothing: Fisher's z has no error there.
+    assert advice(_correlations(worse, trees=3)).name == "finite rays"
+    assert advice(_correlations({"SAH": [np.nan]})) is None
+    # What is fitted, or traced, is no advice however well it does.
+    better = {**many, "fitted": [0.9999] * 16, "touched": [0.9999] * 16}
+    assert advice(_correlations(better)).name == "finite rays"
+
+
+def test_what_needs_a_traversal_is_no_prediction():
+    assert {"touched", "spread", "with LCV"} <= set(by_traversal())
+    assert not set(NAMED) & set(by_traversal())
+
+
+def test_times_are_told_with_the_lanes_they_are_of(small_study):
+    records = small_study.scenes
+    told = times_known(records)
+    for title, key in (("scalar", "scalar_error"), ("SIMD", "simd_error")):
+        error = max(record.column(key).max() for record in records)
+        assert f"±{error:.1%} ({title})" in told
+    for name in ("claims", "overview"):
+        latex = (small_study.folder / f"tables/{name}.tex").read_text()
+        assert told.split("±")[1].split("%")[0] in latex
+
+
+def test_how_it_was_measured_says_what_the_records_hold(small_study):
+    page = unescape(small_study.report.read_text())
+    told = page[page.index('id="how-it-was-measured"') :]
+    viewpoints = {record.rays.viewpoints for record in small_study.scenes}
+    assert f"<dt>viewpoints</dt><dd>{' or '.join(map(str, sorted(viewpoints)))}</dd>" in told
+    assert "<dd></dd>" not in told
+    for name in {name for record in small_study.scenes for name in record.results}:
+        assert name in told.split("<dt>experiments</dt>")[1].split("</dd>")[0]
+
+
+def test_claims_that_none_can_judge_are_folded(small_study):
+    page = unescape(small_study.report.read_text())
+    claims = page[page.index('id="claims"') : page.index('id="scenes"')]
+    assert re.search(r"None of the \d+ claims is judged: .* 2 scenes are too few", claims)
+    assert claims.index("<details") < claims.index("<table")
+
+
+def test_trees_beyond_the_line_stand_apart():
+    trees = [
+        tree_row(name, counted_cost=cost, scalar_ns=100.0, scalar_error=0.1)
+        for name, cost in (("a", 10.0), ("b", 15.0), ("c", 30.0), ("d", 20.0))
+    ]
+    marks = winners([scene_record(trees)]).marks
+    at = {mark.owner: mark.x for mark in marks if isinstance(mark, Dot)}
+    end = max(mark.points[:, 0].max() for mark in marks if isinstance(mark, Stroke))
+    assert at["a"] < at["b"] < end < at["d"] < at["c"]
+    assert at["c"] - at["d"] >= 7  # as wide as a point
+    assert "2 beyond" in [mark.text for mark in marks if isinstance(mark, Words)]
 
 
 def test_the_answer_takes_ten_lines(small_study):
@@ -229,3 +326,14 @@ def test_the_page_stands_alone(small_study):
     inside = set(re.findall(r'id="([^"]+)"', page))
     assert set(re.findall(r'href="#([^"]+)"', page)) <= inside
     assert set(re.findall(r"url\(#([^)]+)\)", page)) <= inside
+
+
+def test_one_scene_is_told_without_a_worst(small_study):
+    record = small_study.scenes[0]
+    of = small_study.correlations[small_study.correlations["scene"] == record.scene]
+    lines = answer([record], of)
+    assert any(line.startswith("Predict with ") for line in lines)
+    assert not [line for line in lines if "worst" in line]
+    claims = next(sheet for sheet in answers([record], of) if sheet.name == "claims")
+    ours = "\n".join(claims.frame["ours"])
+    assert not re.search(r"on average, [\d.]+ at worst|\b(\d\.\d\d) to \1\b", ours)

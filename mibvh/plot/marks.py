@@ -140,11 +140,11 @@ def label_places(points: F64, labels: Sequence[str], size: F64) -> list[LabelPla
         One per point, in the order of the points.
     """
     marks = np.concatenate([points - 4, points + 4], axis=1)
-    offsets = np.array([(r, *d) for r in (5, 12, 20, 30) for d in _DIRECTIONS], np.float64)
+    offsets = np.array([(r, *d) for r in (5, 12, 20, 30, 42, 56) for d in _DIRECTIONS], np.float64)
     taken: list[F64] = []
     found: dict[int, LabelPlace] = {}
     for i in np.argsort(points[:, 1]):
-        half = np.array([2.3 * len(labels[i]), 4.5])  # of the text, about
+        half = np.array([2.5 * len(labels[i]), 5.0])  # of the text, about
         others = np.array([*taken, *np.delete(marks, i, axis=0)]).reshape(-1, 4)
         radius, direction = offsets[:, :1], offsets[:, 1:]
         centres = points[i] + np.sign(direction) * half + radius * direction
@@ -152,7 +152,7 @@ def label_places(points: F64, labels: Sequence[str], size: F64) -> list[LabelPla
         outside = np.maximum(-low, 0) + np.maximum(high - size, 0)
         edges = np.minimum(high[:, None], others[:, 2:]) - np.maximum(low[:, None], others[:, :2])
         overlap = np.maximum(edges, 0).prod(axis=2).sum(axis=1)
-        best = int((10 * outside.sum(axis=1) + overlap + radius[:, 0]).argmin())
+        best = int((10 * outside.sum(axis=1) + 3 * overlap + radius[:, 0]).argmin())
         taken.append(np.concatenate([low[best], high[best]]))
         nearest = np.clip(points[i], low[best], high[best])
         found[int(i)] = LabelPlace(int(i), centres[best], nearest, bool(radius[best, 0] > 5))

@@ -8,6 +8,7 @@ import numpy as np
 
 from mibvh.studies.analyse.correlations import LaneMode
 from mibvh.studies.record.scene import Records, SceneRecord
+from mibvh.triangles import F64
 
 _NONE = float("nan")
 #: Standard errors beyond which a lead counts.
@@ -45,7 +46,7 @@ class Winner:
         """The lead with its error, in words."""
         lead = f"{self.lead:.1%}"
         if np.isfinite(self.error):
-            lead += f" ± {self.error:.1%}" if self.error >= 5e-4 else " ± under 0.1%"
+            lead += f" ± {self.error:.1%}" if self.error >= 5e-4 else " ±<0.1%"
         return lead
 
     def __str__(self) -> str:
@@ -105,16 +106,53 @@ def wins(records: Records) -> dict[str, int]:
     return {name: sure.count(name) for name in names}
 
 
-def mean_cost_over_best(records: Records) -> dict[str, float]:
-    """Counted cost of each builder's tree over the scene's best, mean over the scenes.
+@dataclasses.dataclass(frozen=True)
+class InTime:
+    """In how many scenes the winner by counted cost is the winner in time, too.
 
-    Only builders that have a tree of every scene.
+    Attributes
+    ----------
+    same : int
+        Its lead in time is beyond twice its error.
+    another : int
+        Another tree's is.
+    open : int
+        The first two in time are within twice their error.
+    """
+
+    same: int
+    another: int
+    open: int
+
+    @property
+    def scenes(self) -> int:
+        """How many scenes were timed."""
+        return self.same + self.another + self.open
+
+
+def wins_in_time(records: Records, lanes: LaneMode) -> InTime:
+    """Return whether the stopwatch confirms the winners by counted cost."""
+    timed = [(winner(record), winner_in_time(record, lanes)) for record in records]
+    known = [(best, time) for best, time in timed if time is not None and time.second]
+    sure = [best.builder == time.builder for best, time in known if time.sure]
+    return InTime(sum(sure), len(sure) - sum(sure), len(known) - len(sure))
+
+
+def cost_over_best(records: Records) -> dict[str, F64]:
+    """Counted cost of each builder's tree over that of the scene's best; (S,) float64 each.
+
+    Only builders that have a tree of every scene, the one of the least mean first.
     """
     rows = [{tree.builder: tree["counted_cost"] for tree in record.trees} for record in records]
     common = [name for name in rows[0] if all(name in row for row in rows)]
-    share = {
-        name: float(np.mean([row[name] / min(row.values()) for row in rows]))
+    shares = {
+        name: np.array([row[name] / min(row.values()) for row in rows])
         for name in common
         if all(min(row.values()) > 0 for row in rows)
     }
-    return dict(sorted(share.items(), key=lambda item: item[1]))
+    return dict(sorted(shares.items(), key=lambda item: float(item[1].mean())))
+
+
+def mean_cost_over_best(records: Records) -> dict[str, float]:
+    """Return the means of :func:`cost_over_best`."""
+    return {name: float(shares.mean()) for name, shares in cost_over_best(records).items()}

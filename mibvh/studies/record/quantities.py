@@ -24,7 +24,7 @@ COUNTED = (
         main=True,
         target=True,
         figure="counted",
-        caption="Counted cost per ray against the prediction: no stopwatch, no noise.",
+        caption="Counted cost per ray against the prediction: exact for its rays.",
         place=4,
     ),
     Quantity(
@@ -103,7 +103,7 @@ SIMULATED = (
         main=True,
         target=True,
         figure="warp",
-        caption="Cost per ray in simulated warps against the prediction: no stopwatch, no noise.",
+        caption="Cost per ray in simulated warps against the prediction: exact for its rays.",
         place=7,
     ),
     # Of the same rays, each in a lane of its own.

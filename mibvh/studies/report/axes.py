@@ -14,7 +14,7 @@ from mibvh.triangles import F64
 #: Room around the axes: left, right, bottom, top, in points.
 MARGINS = (46.0, 10.0, 34.0, 22.0)
 _GREY = "#888888"
-_TICK = 7.5
+_TICK = 8.5
 
 
 class Axis:
@@ -99,7 +99,7 @@ class Panel:
         self._y0, self._y1 = part.y + part.height - bottom, part.y + top
         self.x = Axis(x[0], x[1], self._x0, self._x1, log[0])
         self.y = Axis(y[0], y[1], self._y0, self._y1, log[1])
-        sheet.parts.append(part)
+        sheet.parts.append(part._replace(title=title))
         if ticks[0]:
             self._ticks_across()
         if ticks[1]:
@@ -157,6 +157,7 @@ class Panel:
         size: float = 6.5,
         shapes: bool = True,
         opacity: float = 1.0,
+        colour: str = "",
     ) -> None:
         """Draw a point per builder.
 
@@ -170,6 +171,8 @@ class Panel:
         shapes : bool
             Whether builders have shapes of their own.
         opacity : float
+        colour : str
+            Of all points; empty for the builders' own.
         """
         for px, py, owner, tip, i in zip(self.x(x), self.y(y), owners, tips, places, strict=True):
             if np.isfinite(px + py):
@@ -182,7 +185,7 @@ class Panel:
                         size=size,
                         owner=owner,
                         tip=tip,
-                        colour=builder_colour(i),
+                        colour=colour or builder_colour(i),
                         opacity=opacity,
                     )
                 )
@@ -203,7 +206,7 @@ class Panel:
             if place.far:
                 tail = np.stack([place.nearest, points[place.of]]) + [self._x0, self._y1]
                 self.sheet.add(Stroke(points=tail, colour=_GREY, width=0.6))
-            self.sheet.add(Words(x=at[0], y=at[1], text=name, anchor="middle"))
+            self.sheet.add(Words(x=at[0], y=at[1], text=name, size=8, anchor="middle"))
 
     def curve(self, x: npt.ArrayLike, y: npt.ArrayLike, owner: str, tip: str, i: int) -> None:
         """Draw the curve of a builder, of its colour and dashes."""

@@ -76,7 +76,7 @@ class Words(Mark):
     x: float
     y: float
     text: str
-    size: float = 8.0
+    size: float = 9.0
     anchor: str = "start"
     turn: float = 0.0
     strong: bool = False
@@ -84,12 +84,13 @@ class Words(Mark):
 
 
 class Part(NamedTuple):
-    """A part of a drawing that a page may set by itself: its corner and its size."""
+    """A part of a drawing that a page may set by itself: its corner, its size, what it shows."""
 
     x: float
     y: float
     width: float
     height: float
+    title: str = ""
 
 
 class Drawing:
@@ -114,12 +115,13 @@ class Drawing:
 
     def svg(self, part: Part | None = None) -> str:
         """As SVG, or a part of it; the text has the colour of the page it is in."""
-        x, y, width, height = part or Part(0, 0, self.width, self.height)
+        x, y, width, height, title = part or Part(0, 0, self.width, self.height)
         marks = self.marks if part is None else [m for m in self.marks if _inside(m, part)]
         body = "".join(_svg(mark) for mark in marks)
+        named = f' role="group" aria-label="{escape(title)}"' if title else ""
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{x:g} {y:g} {width:g} {height:g}" '
-            f'font-family="{_FONT}" fill="none">{body}</svg>'
+            f'font-family="{_FONT}" fill="none"{named}>{body}</svg>'
         )
 
     def file(self) -> str:

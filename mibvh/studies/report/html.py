@@ -16,15 +16,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from mibvh.builders import all_names, get
+from mibvh.builders.chosen import builder_of
 from mibvh.files import file_name, make_folder, write_text
 from mibvh.metrics.predictors import predictors
 from mibvh.plot.marks import builder_colour
-from mibvh.studies.analyse.correlations import overview, worst_error
+from mibvh.studies.analyse.advice import advice
+from mibvh.studies.analyse.correlations import LANES, overview, worst_error
 from mibvh.studies.analyse.rotation import rotation_factors
 from mibvh.studies.analyse.sweep import sweeps
 from mibvh.studies.measure.depth import DepthResult
+from mibvh.studies.record.claim import FEWEST_SCENES
 from mibvh.studies.record.experiment import experiments
-from mibvh.studies.record.quantities import quantities, targets
+from mibvh.studies.record.quantities import targets
 from mibvh.studies.record.scene import Records, SceneRecord
 from mibvh.studies.record.serialise import to_json
 from mibvh.studies.record.sheet import Sheet
@@ -34,7 +38,7 @@ from mibvh.studies.report.drawing import Drawing
 from mibvh.studies.report.tables.audit import failures
 from mibvh.studies.report.tables.builders import SECTION as DEPTH
 from mibvh.studies.report.tables.claims import SECTION as CLAIMS
-from mibvh.studies.report.tables.prediction import NAMED, times_known
+from mibvh.studies.report.tables.prediction import NAMED, by_traversal
 from mibvh.studies.report.tables.rotation import SECTION as ROTATION
 
 #: What is said below the figures of a scene that are of its trees.
@@ -44,6 +48,24 @@ _CAPTIONS = {
 }
 #: What the predictors that a reader asks for first are held against.
 _FIRST_HELD = ("counted_cost", "scalar_ns")
+#: What words mean that the page begins with.
+_WORDS = {
+    "tree": "a bounding volume hierarchy (BVH) of a scene, called by the builder that made it",
+    "counted cost": "mean over the rays: 1.2 for each inner node visited, 1.0 for each triangle "
+    "tested. The rays are traced and all visits counted, so that it is exact for its rays",
+    "scalar and SIMD time": "nanoseconds per ray, with one lane of the processor's vectors in use, "
+    "or with all of them",
+    "warp cost": "counted cost of simulated warps, which wait for their slowest ray",
+    "SAH": "surface area heuristic: what endless random lines through the scene cost",
+    "EPO": "end-point overlap: mean cost of the nodes that a point of the surfaces lies in, though "
+    "its triangle is not in them",
+    "point query": "mean cost of all nodes that a ray's start lies in",
+    "LCV": "leaf count variability: standard deviation over the rays of how many leaves one visits",
+    "r": "Pearson's correlation of predicted and measured cost over the trees of a scene: 1 is "
+    "perfect",
+    "α": "share of EPO in (1 − α) SAH + α EPO",
+    "s": "mean length of the rays over the mean chord of the scene's box",
+}
 #: Width of the small pictures, in pixels: twice what is shown, for fine screens.
 _THUMBNAIL = 320
 
@@ -101,6 +123,7 @@ def write_report(
     titles = dict.fromkeys(sheet.section for sheet in sheets)
     groups = {title: [s for s in sheets if s.section == title] for title in titles}
     main = _main_predictor(correlations)
+    claims = groups.get(CLAIMS, [])
     page = _template().render(
         builders=_builders(records),
         left_out=left_out,
@@ -111,6 +134,7 @@ def write_report(
         main=main,
         named=_predictors(correlations, named=True),
         others=_predictors(correlations, named=False),
+        by_traversal=[name for name in by_traversal() if name in _known(correlations)],
         summary=draw(
             "summary", plots.summary(correlations, [n for n in NAMED if n in _known(correlations)])
         ),
@@ -118,17 +142,20 @@ def write_report(
             "summary-others", plots.summary(correlations, _other_names(correlations))
         ),
         where=groups.get(DEPTH, []),
-        claims=groups.get(CLAIMS, []),
+        claims=claims,
+        unjudged=_unjudged(claims),
+        fewest=FEWEST_SCENES,
         sections=[(title, group) for title, group in groups.items() if title not in first],
         scenes=[
             _scene(draw, record, correlations, of_scene)
             for record, of_scene in zip(records, of_scenes, strict=True)
         ],
-        times_known=times_known(records, quantities()["scalar_ns"]),
+        words=_WORDS,
+        out_of_time=_out_of_time(records),
         rotating=ROTATION if len(factors) else None,
         rotation=draw("rotation", plots.rotation(factors)) if len(factors) else [],
         environment=records[-1].environment,
-        options=to_json(records[-1].options),
+        options=_options(records),
     )
     write_text(folder / "report.html", page)
     return draw.written
@@ -160,14 +187,59 @@ def _other_names(correlations: pd.DataFrame) -> list[str]:
 
 
 def _main_predictor(correlations: pd.DataFrame) -> str:
-    """Return the predictor of the small multiples: the one that the documentation advises."""
-    known = _known(correlations)
+    """Return the predictor of the small multiples: the one that is advised."""
+    advised, known = advice(correlations), _known(correlations)
+    if advised is not None:
+        return advised.name
     return next((name for name in ("finite rays", "fitted", "SAH") if name in known), known[0])
+
+
+def _unjudged(claims: Sequence[Sheet]) -> int:
+    """How many claims there are, if none of them was judged; otherwise 0."""
+    held = claims[0].frame["held"] if claims else pd.Series(dtype=str)
+    return len(held) if held.str.startswith("not judged").all() else 0
+
+
+def _out_of_time(records: Records) -> str:
+    """In how many scenes the stopwatch's time was over before the error asked for was reached."""
+    told = []
+    for lanes in LANES:
+        timings = [record.timing[lanes.key] for record in records]
+        over = sum(not timing.complete for timing in timings if timing.portions)
+        if over:
+            told.append(
+                f"{lanes.title} in {over} of {len(records)} scene{'s' * (len(records) != 1)}"
+            )
+    error = records[-1].options.standard_error
+    return f"before the error asked for (±{error:.1%}) was reached: {', '.join(told)}" * bool(told)
+
+
+def _options(records: Records) -> dict[str, Any]:
+    """The options that the scenes share, as the records hold them; those not in use are left out.
+
+    Of an experiment that other runs added the results count, and of viewpoints those that a scene
+    has.
+    """
+    found: dict[str, Any] = {}
+    for record in records:
+        for name, value in to_json(record.options).items():
+            if value not in found.setdefault(name, []):
+                found[name].append(value)
+    run = [name for record in records for name in (*record.options.experiments, *record.results)]
+    found["experiments"] = [list(dict.fromkeys(run))]
+    found["viewpoints"] = sorted({record.rays.viewpoints for record in records})
+    found["cull"] = ["yes" if cull else "no" for cull in found["cull"]]
+    told = {}
+    for name, values in found.items():
+        texts = [", ".join(map(str, v)) if isinstance(v, list) else str(v) for v in values]
+        told[name.replace("_", " ")] = " or ".join(filter(None, texts))
+    return {name: text for name, text in told.items() if text and text != "None"}
 
 
 def _predictors(correlations: pd.DataFrame, named: bool) -> list[dict[str, str]]:
     """Name, formula and r of the named predictors, or of the others."""
     table = overview(correlations)
+    several = correlations["scene"].nunique() > 1
     rows = []
     for one in sorted(predictors(), key=lambda p: [*NAMED, p.name].index(p.name)):
         if (one.name in NAMED) is not named or one.name not in _known(correlations):
@@ -178,17 +250,29 @@ def _predictors(correlations: pd.DataFrame, named: bool) -> list[dict[str, str]]
                 "name": one.name,
                 "formula": one.formula,
                 "free": {"0": "nothing fitted"}.get(one.free, f"fitted: {one.free}"),
-                "counted": f"{_r(r[0][0])} ({_r(r[0][1])})",
-                "timed": f"{_r(r[1][0])} ({_r(r[1][1])})",
+                "counted": _r(r[0][0]) + (f" ({_r(r[0][1])})" if several else ""),
+                "timed": _r(r[1][0]) + (f" ({_r(r[1][1])})" if several else ""),
             }
         )
     return rows
 
 
 def _builders(records: Records) -> list[dict[str, str]]:
-    """Name and colour of each builder; those of the scene that has most come first."""
+    """Name, colour and gloss of each builder; those of the scene that has most come first."""
     names = plots.places_of(records)
-    return [{"name": name, "colour": builder_colour(i)} for name, i in names.items()]
+    return [
+        {"name": name, "colour": builder_colour(i), "gloss": _gloss(name)}
+        for name, i in names.items()
+    ]
+
+
+def _gloss(name: str) -> str:
+    """What a builder does, and whose it is; empty for a tree that was given."""
+    if builder_of(name) not in all_names():
+        return ""
+    one = get(builder_of(name))
+    summary = one.summary.replace("`", "")
+    return f"{summary} ({one.source})" if one.source else summary
 
 
 def _scene(
@@ -234,7 +318,9 @@ def _of_scene(record: SceneRecord, correlations: pd.DataFrame) -> list[tuple[str
             target.heading,
             _r(r[target.name, "SAH"]),
             _r(r[target.name, "fitted"]),
-            f"times ±{worst_error([record], target.error):.1%}" if target.error else "no noise",
+            f"times ±{worst_error([record], target.error):.1%}"
+            if target.error
+            else "exact for its rays",
         )
         for target in targets()
     ]

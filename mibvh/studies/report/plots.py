@@ -14,12 +14,12 @@ from mibvh.plot.marks import builder_colour
 from mibvh.studies.analyse.correlations import SCALAR, predicted
 from mibvh.studies.analyse.rotation import headings
 from mibvh.studies.analyse.sweep import Sweep
-from mibvh.studies.analyse.winners import Winner, winner, winner_in_time
+from mibvh.studies.analyse.winners import winner, winner_in_time
 from mibvh.studies.measure.depth import DepthResult
 from mibvh.studies.record.quantities import quantities, targets
 from mibvh.studies.record.scene import Records, SceneRecord, samples
 from mibvh.studies.report.axes import MARGINS, Panel
-from mibvh.studies.report.drawing import Dot, Drawing, Part, Stroke, Words
+from mibvh.studies.report.drawing import INK, Dot, Drawing, Part, Stroke, Words
 from mibvh.triangles import F64
 
 #: Size of a panel of a pair, in points.
@@ -27,11 +27,17 @@ _WIDTH, _HEIGHT = 259.0, 202.0
 #: Builders' names in a row of the strip below the panels, and the height of a row.
 _NAMES, _ROW = 5, 14.0
 #: The small multiples: size, margins, how many in a row of the file.
-_SMALL, _SMALL_MARGINS, _COLUMNS = (170.0, 158.0), (34.0, 8.0, 24.0, 34.0), 4
+_SMALL, _SMALL_MARGINS, _COLUMNS = (150.0, 148.0), (30.0, 8.0, 22.0, 38.0), 4
 #: The winners: width of the figure, height of a scene's row, where its line begins and ends, and
-#: the costs over the best beyond which trees stand at its end.
-_WINNERS, _STEP, _BEGIN, _END, _MOST = 380.0, 52.0, 8.0, 348.0, 0.6
+#: the costs over the best beyond which trees stand in a row behind its end.
+_WINNERS, _STEP, _BEGIN, _END, _MOST = 300.0, 76.0, 8.0, 200.0, 0.6
+#: Where the first of the trees behind the end stands, and how far apart they are.
+_BEYOND, _APART = 230.0, 8.0
+#: Costs over the best that are marked on the line.
+_MARKED = (0.0, 0.2, 0.4, 0.6)
 _GREY = "#888888"
+#: Of the mean of points that are no builder's.
+_ACCENT = "#D55E00"
 
 
 def places_of(records: Records) -> dict[str, int]:
@@ -81,14 +87,15 @@ def winners(records: Records) -> Drawing:
     """Of each scene the winner, its lead and error, and where the other trees stand.
 
     A row per scene: its name, who wins by counted cost and by scalar time, and a point per tree at
-    its counted cost over the best.
+    its counted cost over the best. Trees that cost more than the line is long stand side by side
+    behind its end, in the order of their costs.
     """
     sheet = Drawing(_WINNERS, _STEP * len(records))
     places = places_of(records)
-    most = min(_MOST, max((_over(r).max() for r in records), default=_MOST)) or _MOST
     for row, record in enumerate(records):
-        sheet.parts.append(Part(0.0, row * _STEP, _WINNERS, _STEP))
-        _winner_row(sheet, record, places, row * _STEP, most)
+        part = Part(0.0, row * _STEP, _WINNERS, _STEP, f"{record.scene}: {winner(record)}")
+        sheet.parts.append(part)
+        _winner_row(sheet, record, places, row * _STEP)
     return sheet
 
 
@@ -97,27 +104,35 @@ def _over(record: SceneRecord) -> F64:
     return costs / costs.min() - 1 if costs.min() > 0 else np.zeros(len(costs))
 
 
-def _winner_row(
-    sheet: Drawing, record: SceneRecord, places: dict[str, int], top: float, most: float
-) -> None:
-    best, y = winner(record), top + 38
+def _winner_row(sheet: Drawing, record: SceneRecord, places: dict[str, int], top: float) -> None:
+    best, y = winner(record), top + 52
     sheet.add(
         Words(x=_BEGIN - 6, y=top + 8, text=record.scene, size=11, strong=True),
-        Words(x=_BEGIN - 6, y=top + 23, text=_winner_words(record, best), size=9.5),
+        Words(x=_BEGIN - 6, y=top + 23, text=str(best), size=10),
+        Words(x=_BEGIN - 6, y=top + 37, text=_in_time(record), size=10, opacity=0.8),
         Stroke(points=np.array([[_BEGIN, y], [_END, y]]), colour=_GREY, opacity=0.5),
-        Words(x=_END + 5, y=y, text=f"+{most:.0%}", opacity=0.75),
     )
+    for over in _MARKED:
+        x = _BEGIN + over / _MOST * (_END - _BEGIN)
+        mark = np.array([[x, y - 4], [x, y + 4]])
+        sheet.add(
+            Stroke(points=mark, colour=_GREY, opacity=0.5),
+            Words(x=x, y=y + 13, text=f"+{over:.0%}" if over else "best", anchor="middle"),
+        )
+    order = np.argsort(_over(record), kind="stable")
+    beyond = [i for i in order if _over(record)[i] > _MOST]
+    if beyond:
+        sheet.add(Words(x=_BEYOND - 4, y=y + 13, text=f"{len(beyond)} beyond"))
     # The best is drawn last, on top.
-    for over, tree in sorted(
-        zip(_over(record), record.trees, strict=True), key=lambda pair: -pair[0]
-    ):
-        place, first = places[tree.builder], tree.builder == best.builder
+    for i in order[::-1]:
+        tree, over = record.trees[i], float(_over(record)[i])
+        x = _BEGIN + over / _MOST * (_END - _BEGIN)
         sheet.add(
             Dot(
-                x=_BEGIN + min(over / most, 1.0) * (_END - _BEGIN),
+                x=_BEYOND + _APART * beyond.index(i) if over > _MOST else x,
                 y=y,
-                size=10.0 if first else 7.0,
-                colour=builder_colour(place),
+                size=10.0 if tree.builder == best.builder else 7.0,
+                colour=builder_colour(places[tree.builder]),
                 owner=tree.builder,
                 tip=f"{record.scene}: {tree.builder}, counted cost {tree['counted_cost']:.4g}, "
                 f"+{over:.1%} over the best",
@@ -125,15 +140,9 @@ def _winner_row(
         )
 
 
-def _winner_words(record: SceneRecord, best: Winner) -> str:
+def _in_time(record: SceneRecord) -> str:
     timed = winner_in_time(record, SCALAR)
-    if timed is None or not timed.second:
-        return str(best)
-    if timed.builder == best.builder and timed.sure:
-        return f"{best}; in time by {timed.margin}"
-    return (
-        f"{best}; in time {timed.builder if timed.sure else f'{timed.builder} or {timed.second}'}"
-    )
+    return f"in time: {timed}" if timed is not None and timed.second else ""
 
 
 # ------ Predicted against measured ------
@@ -184,9 +193,11 @@ def _multiple(
     measured = record.column("counted_cost")
     limits = limits_of(np.concatenate([sah, main, measured]), 0.08)
     panel = Panel(sheet, part, limits, limits, margins=_SMALL_MARGINS)
+    said = f"r {_r(r_sah)} → {_r(r_main)}"
+    sheet.parts[-1] = part._replace(title=f"{record.scene}, {name} against counted cost: {said}")
     sheet.add(
-        Words(x=part.x + 6, y=part.y + 8, text=record.scene[:26], size=9, strong=True),
-        Words(x=part.x + 6, y=part.y + 21, text=f"r {_r(r_sah)} → {_r(r_main)}", size=8),
+        Words(x=part.x + 4, y=part.y + 8, text=record.scene[:24], size=10, strong=True),
+        Words(x=part.x + 4, y=part.y + 22, text=said, size=9),
     )
     panel.line(limits, limits)
     panel.hollow(sah, measured)
@@ -312,12 +323,14 @@ def _summary_row(panel: Panel, of: pd.DataFrame, name: str, i: int, target: Quan
         [i] * len(of),
         size=4.5,
         shapes=False,
-        opacity=0.8,
+        opacity=0.6,
+        # Not a builder's colour: these are predictors.
+        colour=INK,
     )
-    if len(of):
+    if len(of) > 1:
         mean = float(panel.x(of["pearson"].mean()))
         ends = np.array([[mean, y - 9], [mean, y + 9]])
-        panel.sheet.add(Stroke(points=ends, width=1.6))
+        panel.sheet.add(Stroke(points=ends, width=2.2, colour=_ACCENT))
 
 
 # ------ Where the cost sits ------
@@ -410,16 +423,19 @@ def rotation(factors: pd.DataFrame) -> Drawing:
         f"SAH {row['sah']:.2f}×, EPO {row['epo']:.2f}×"
         for _, row in factors.iterrows()
     ]
-    sheet, parts = row_of_panels(216.0)
-    for part, name in zip(parts, ("sah", "fitted"), strict=True):
+    sheet, parts = row_of_panels(_WIDTH)
+    shown = ("sah", "fitted")
+    # One scale for both axes and both panels: on the diagonal a factor is predicted exactly.
+    values = factors[["counted_cost", *shown]].to_numpy(np.float64)
+    known = values[np.isfinite(values) & (values > 0)]
+    limits = (float(known.min()) / 1.1, float(known.max()) * 1.1) if len(known) else (0.5, 2.0)
+    for part, name in zip(parts, shown, strict=True):
         x, y = factors[name].to_numpy(np.float64), factors["counted_cost"].to_numpy(np.float64)
         labels = ("predicted factor", "factor of counted cost")
-        panel = Panel(sheet, part, limits_of(x), limits_of(y), title=titles[name], labels=labels)
-        known = np.concatenate([x, y])
-        known = known[np.isfinite(known)]
-        ends = [max(panel.x.low, panel.y.low), min(panel.x.high, panel.y.high)]
-        if len(known) and ends[0] < ends[1]:
-            panel.line(ends, ends)
+        panel = Panel(
+            sheet, part, limits, limits, title=titles[name], labels=labels, log=(True, True)
+        )
+        panel.line(limits, limits)
         panel.dots(
             x, y, list(factors["builder"]), tips, place, size=4.5, shapes=False, opacity=0.85
         )

@@ -50,7 +50,9 @@ def mean_and_least(row: pd.Series) -> str:
 
 
 def r_words(mean: float, least: float) -> str:
-    """Mean and least r over scenes, in words."""
+    """Mean and least r over scenes, in words; they are the same over one scene."""
+    if mean == least:
+        return f"r {mean:.3f}"
     return f"r {mean:.3f} on average, {least:.3f} at worst"
 
 

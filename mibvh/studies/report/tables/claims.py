@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 
-from mibvh.studies.analyse.correlations import LANES, worst_error
 from mibvh.studies.paper.catalogue import paper_comparison
 from mibvh.studies.paper.claims import claims
 from mibvh.studies.record.scene import Records
 from mibvh.studies.record.sheet import Column, Sheet
+from mibvh.studies.report.tables.prediction import times_known
 
 SECTION = "The paper's claims"
 
@@ -22,8 +23,7 @@ def claim_sheets(records: Records, correlations: pd.DataFrame) -> list[Sheet]:
         title="The paper's claims, and whether they held",
         note="The paper's figures are those of its slides (22 scenes, GTX 680), where nothing "
         "else is said. What it takes for a claim to have held is our choice, and stands in "
-        "the last column. Times of a scene's trees are known relative to each other to "
-        f"{_noise(records)}: claims on time say no more than that.",
+        f"the last column. {_noise(records)} A claim on times is no surer than they are.",
         frame=frame,
         columns=[Column(str(key)) for key in frame],
         unfolded=True,
@@ -38,8 +38,8 @@ def _scenes(compared: pd.DataFrame) -> Sheet:
         name="paper-scenes",
         section=SECTION,
         title="Scenes of the paper's own",
-        note="r with scalar ns/ray, α fitted. Triangles expected are those of the file "
-        "that is to be had (mibvh scenes paper); few of the paper's figures are known.",
+        note="r with scalar ns/ray, α fitted. Triangles expected are those of the file that can "
+        "be downloaded today (mibvh scenes paper); few of the paper's figures are known.",
         frame=compared.astype(numbers),
         columns=[
             Column("scene"),
@@ -57,6 +57,8 @@ def _scenes(compared: pd.DataFrame) -> Sheet:
 
 def _noise(records: Records) -> str:
     """How well the stopwatch knew the times: the worst of all scenes."""
-    error = max(worst_error(records, lanes.error) for lanes in LANES)
-    twice = max(abs(t.repeat_difference) for r in records for t in r.timing.values())
-    return f"±{error:.1%}, and the same tree timed twice differed by up to {twice:.1%}"
+    twice = [abs(t.repeat_difference) for r in records for t in r.timing.values()]
+    known = times_known(records)
+    if not known:
+        return "No time is known."
+    return f"{known} The same tree timed twice differed by up to {np.nanmax(twice):.1%}."

@@ -47,9 +47,9 @@ def _where(records: Records) -> Sheet:
         frame=half_depths(records),
         columns=[
             Column("builder"),
-            Column("sah", "half of SAH", ".1f"),
-            Column("epo", "half of EPO", ".1f"),
-            Column("nodes", "half of the nodes", ".1f"),
-            Column("depth", "all", ".1f"),
+            Column("sah", "half of SAH above", ".1f"),
+            Column("epo", "half of EPO above", ".1f"),
+            Column("nodes", "half of the nodes above", ".1f"),
+            Column("depth", "depth of the tree", ".1f"),
         ],
     )

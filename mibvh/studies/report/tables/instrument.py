@@ -15,6 +15,8 @@ from mibvh.studies.record.scene import Records
 from mibvh.studies.record.sheet import Column, Sheet
 
 _SECTION = "How well the stopwatch agrees with itself"
+#: Difference of a level from one timing to the next that a reader is told of.
+_MOVED = 0.1
 #: What the stages of a study are.
 _STAGES = {
     "trees": "building them, all builders",
@@ -72,12 +74,24 @@ def _stopwatch(records: Records) -> Sheet:
         + (
             " The common level of a scene's times is known less well: the trees of a rotated "
             "scene are timed once more, minutes later, and the last column is the difference "
-            "of the levels."
+            f"of the levels.{_level_moved(frame)}"
             if "again" in frame
             else ""
         ),
         frame=frame,
         columns=columns,
+    )
+
+
+def _level_moved(frame: pd.DataFrame) -> str:
+    """Which scenes' levels moved by more than a tenth, so that nobody compares their times."""
+    again = frame.set_index("scene")["again"] if "again" in frame else pd.Series(dtype=float)
+    moved = [f"{scene} ({value:+.1%})" for scene, value in again[again.abs() > _MOVED].items()]
+    if not moved:
+        return ""
+    return (
+        f" Beyond {_MOVED:.0%}: {', '.join(moved)}: the nanoseconds of these scenes are to be "
+        "compared among their own trees only."
     )
 
 

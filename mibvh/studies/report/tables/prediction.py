@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 
 from mibvh.metrics.predictors import Predictor, glossary, predictors
-from mibvh.metrics.registry import Quantity
 from mibvh.studies.analyse.calibration import absolute_errors
-from mibvh.studies.analyse.correlations import overview, shared_weights, worst_error
+from mibvh.studies.analyse.correlations import LANES, overview, shared_weights, worst_error
 from mibvh.studies.analyse.level import level_pieces
 from mibvh.studies.analyse.noise import simd_deviation
 from mibvh.studies.analyse.pooled import pooled
@@ -26,6 +26,15 @@ _FIRST = ("counted_cost", "scalar_ns")
 NAMED = ("SAH", "fitted", "estimated", "finite rays", "finite by lines")
 
 
+#: Quantities that are known only of rays that were traced through the tree.
+_TRACED = {"touched", "lcv", "counted_cost", "cost_deviation", "steps_deviation", "warp_cost"}
+
+
+def by_traversal() -> list[str]:
+    """Return the predictors that need the tree to be traced: they explain, but do not predict."""
+    return [one.name for one in predictors() if _TRACED & set(one.needs)]
+
+
 def prediction_sheets(records: Records, correlations: pd.DataFrame) -> list[Sheet]:
     """Return the tables, those over all scenes first."""
     return [
@@ -40,12 +49,16 @@ def prediction_sheets(records: Records, correlations: pd.DataFrame) -> list[Shee
     ]
 
 
-def times_known(records: Records, target: Quantity) -> str:
-    """How well the times are known that an r is against; nothing for what has no noise."""
-    if not target.error:
+def times_known(records: Records) -> str:
+    """How well the times are known that an r is against, by lane mode; empty where none is."""
+    errors = {lanes.title: worst_error(records, lanes.error) for lanes in LANES}
+    told = " and ".join(f"±{e:.1%} ({name})" for name, e in errors.items() if np.isfinite(e))
+    if not told:
         return ""
-    error = worst_error(records, target.error)
-    return f"Times of a scene's trees are known relative to each other to ±{error:.1%} or better."
+    return (
+        f"Times of a scene's trees are known relative to each other to {told} or better, one "
+        "standard error; a lead, the difference of two trees, has the errors of both."
+    )
 
 
 def _overview(records: Records, correlations: pd.DataFrame) -> Sheet:
@@ -61,18 +74,17 @@ def _overview(records: Records, correlations: pd.DataFrame) -> Sheet:
             columns.append(Column(name, f"{target.heading}: {heading}", ".3f"))
     frame["error"] = frame["predictor"].map(summary.loc["counted_cost"]["worst_error"])
     error = "largest misprediction of any tree's counted cost by the least-squares line"
-    columns.append(Column("error", "counted: worst error", ".0%", error))
+    columns.append(Column("error", "counted cost: worst error", ".0%", error))
     text = {name: f"{r.mean:.3f} ({r.low:.3f})" for name, r in published().r.items()}
     frame["paper"] = frame["predictor"].map(text).fillna("")
     over = f"mean (worst) with scalar time over the {published().scenes} scenes of the slides"
     columns.append(Column("paper", help=over))
-    times = [times_known(records, target) for target in targets() if target.error]
     return Sheet(
         name="overview",
         section=SECTION,
         title="r over the scenes",
         note=f"Pearson's r over each scene's trees: the mean over the scenes, and the worst. "
-        f"{times[0] if times else ''}",
+        f"{times_known(records)}",
         frame=frame,
         columns=columns,
         glossary=glossary(),
@@ -99,7 +111,8 @@ def _pooled(records: Records) -> list[Sheet]:
             Sheet(
                 name=f"pooled-{target.name}",
                 section=SECTION,
-                title=f"All scenes at once, and what was not fitted to: {target.heading}",
+                title="All scenes pooled, and weights from other scenes or builders: "
+                f"{target.heading}",
                 note="Costs relative to their scene's mean. Other scenes: weights are the mean of "
                 "those fitted to all other scenes. Other builders: the trees of a family of "
                 "builders are predicted from weights and a line fitted to the scene's other trees.",
@@ -178,8 +191,8 @@ def _per_scene(records: Records, correlations: pd.DataFrame) -> Sheet:
         name="r",
         section=SECTION,
         title="r per scene, the named predictors",
-        note="An r over few trees is known to its interval only: over another nine trees it could "
-        "be anywhere in it.",
+        note="An r over few trees is uncertain: the interval is where it could be over as many "
+        "other trees.",
         frame=frame.reset_index(),
         columns=columns,
     )

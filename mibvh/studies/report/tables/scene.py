@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pandas as pd
 
 from mibvh.metrics.predictors import glossary
+from mibvh.metrics.registry import Quantity
 from mibvh.studies.record.quantities import columns, targets
 from mibvh.studies.record.scene import SceneRecord
 from mibvh.studies.record.sheet import Column, Sheet
@@ -39,11 +42,19 @@ def scene_answers(record: SceneRecord, correlations: pd.DataFrame) -> list[Sheet
     correlations : DataFrame
         From :func:`mibvh.studies.analyse.correlations.correlations`.
     """
-    return [_trees(record), _agreement(record, correlations)]
+    main = columns(main=True)
+    more = [quantity for quantity in columns() if quantity not in main]
+    return [
+        _trees(record, main, "trees", f"Trees of {record.scene}"),
+        *(
+            [_trees(record, more, "trees-more", f"More of the trees of {record.scene}")]
+            * bool(more)
+        ),
+        _agreement(record, correlations),
+    ]
 
 
-def _trees(record: SceneRecord) -> Sheet:
-    shown = columns()
+def _trees(record: SceneRecord, shown: Sequence[Quantity], name: str, title: str) -> Sheet:
     rows = [
         {
             "builder": tree.builder,
@@ -53,9 +64,9 @@ def _trees(record: SceneRecord) -> Sheet:
         for tree in record.trees
     ]
     return Sheet(
-        name=f"{record.scene}-trees",
+        name=f"{record.scene}-{name}",
         section=record.scene,
-        title=f"Trees of {record.scene}",
+        title=title,
         frame=pd.DataFrame(rows),
         columns=[
             Column("builder"),
