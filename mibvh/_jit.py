@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import functools
+import gc
 import os
 import shutil
 import stat
@@ -15,6 +16,7 @@ from typing import Any
 
 import numba
 from numba import types
+from numba.core.compiler import Compiler
 from numba.core.dispatcher import Dispatcher
 
 
@@ -39,12 +41,13 @@ def njit(
         return functools.partial(njit, allocates=allocates, **options)
     # Said either way: a callee takes it from its caller otherwise.
     options["_nrt"] = allocates
-    options |= {"nogil": True, "error_model": "numpy"}
+    options |= {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    kernel = numba.njit(cache=True, pipeline_class=_Compiler, **options)
     try:
-        compiled = numba.njit(cache=True, **options)(function)
+        compiled = kernel(function)
     except RuntimeError:  # neither the package nor the home can be written
         numba.config.CACHE_DIR = _temporary_cache()
-        compiled = numba.njit(cache=True, **options)(function)
+        compiled = kernel(function)
     compiled.mibvh_files = _files(function)
     _keep_if_possible(compiled)
     _compile_once(compiled)
@@ -53,6 +56,19 @@ def njit(
         cache_file._source_stamp = _stamp(function, compiled.mibvh_files)
         _read_if_sound(cache_file)
     return compiled
+
+
+class _Compiler(Compiler):
+    """Numba's own; it looks for no garbage meanwhile, as each look goes through all modules."""
+
+    def _compile_core(self) -> Any:
+        enabled = gc.isenabled()
+        gc.disable()
+        try:
+            return super()._compile_core()
+        finally:
+            if enabled:
+                gc.enable()
 
 
 @functools.cache

@@ -115,7 +115,7 @@ def _grown(array):
     return np.concatenate((array, np.empty_like(array)))
 
 
-@njit
+@njit(allocates=False)
 def _copy(pieces, sizes, source, target):
     if source != target:
         for i in range(sizes[source]):
@@ -124,7 +124,7 @@ def _copy(pieces, sizes, source, target):
         sizes[target] = sizes[source]
 
 
-@njit
+@njit(allocates=False)
 def _touches(piece, n, low, high):
     """Whether the piece's box and the box have more than a face in common."""
     for k in range(3):
@@ -136,11 +136,13 @@ def _touches(piece, n, low, high):
     return True
 
 
-@njit
+@njit(allocates=False)
 def _subtract(pieces, sizes, p, held, low, high, work, allowed):
     """Append what a box leaves of a piece, plane by plane; return how many pieces there are."""
     source, n = 0, sizes[p]
-    work[0] = pieces[p]
+    for i in range(n):
+        for k in range(3):
+            work[0, i, k] = pieces[p, i, k]
     for plane in range(6):
         k = plane % 3
         limit, sign = (low[k], 1.0) if plane < 3 else (high[k], -1.0)
@@ -157,7 +159,7 @@ def _subtract(pieces, sizes, p, held, low, high, work, allowed):
     return held
 
 
-@njit
+@njit(allocates=False)
 def _cut(polygon, n, out, axis, limit, sign):
     """Clip a convex polygon, keeping ``sign * (x - limit) >= 0``; return the corner count."""
     m, last = 0, n - 1
@@ -178,7 +180,7 @@ def _cut(polygon, n, out, axis, limit, sign):
     return m
 
 
-@njit
+@njit(allocates=False)
 def _area(polygon, n):
     x = y = z = 0.0
     for i in range(1, n - 1):

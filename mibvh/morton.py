@@ -48,7 +48,7 @@ def interleave(cells):
     return codes
 
 
-@njit
+@njit(allocates=False)
 def _spread(x):
     """Move the 21 bits of x to every third bit."""
     x = (x | (x << np.uint64(32))) & np.uint64(0x1F00000000FFFF)

@@ -79,7 +79,7 @@ def _structure(left, first, count, references, small):
     return 0, 0
 
 
-@njit
+@njit(allocates=False)
 def _repeats(ids, first, count):
     """Whether a value stands twice among ``count`` of the array's from ``first``."""
     for i in range(first + 1, first + count):
@@ -104,7 +104,7 @@ def _references(references, triangles):
     return -1, missing
 
 
-@njit
+@njit(allocates=False)
 def _boxes(lower, upper, left, largest):
     """Count boxes that are inverted, NaN or overlarge, and those that stick out of their parents'.
 
@@ -133,7 +133,7 @@ def _boxes(lower, upper, left, largest):
     return wrong, first_wrong, out, first_out
 
 
-@njit
+@njit(allocates=False)
 def _leaf_boxes(lower, upper, left, first, count, references, corners, times):
     """Count the unsplit triangles that stick out of their leaf's box; with the first such leaf."""
     out, first_out = 0, -1

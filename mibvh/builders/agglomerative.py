@@ -115,7 +115,7 @@ def _index(members, offsets, clusters):
     return Index(members, offsets, bound, least)
 
 
-@njit
+@njit(allocates=False)
 def _summarise(bound, least, block, above, entry):
     """Write what a block holds into its entry of the level above; tell whether it changed."""
     b, k = above + (entry >> _SHIFT), entry & (_WIDTH - 1)
@@ -136,7 +136,7 @@ def _summarise(bound, least, block, above, entry):
     return changed
 
 
-@njit
+@njit(allocates=False)
 def _refresh(bound, least, offsets, slot):
     """Carry a changed place upwards, as far as it matters."""
     entry = slot
@@ -146,7 +146,7 @@ def _refresh(bound, least, offsets, slot):
             break
 
 
-@njit
+@njit(allocates=False)
 def _distances(bound, block, x0, y0, z0, x1, y1, z1, width, out):
     """Half area of the box that joins the query to each entry of a block.
 
@@ -159,7 +159,7 @@ def _distances(bound, block, x0, y0, z0, x1, y1, z1, width, out):
         out[k] = dx * dy + (dx + dy) * dz
 
 
-@njit
+@njit(allocates=False)
 def _nearest(slot, bound, least, offsets, width, distance, stack_area, stack_place):
     """Nearest neighbour of the cluster at a slot: least (area, references, name).
 
@@ -225,14 +225,14 @@ def _nearest(slot, bound, least, offsets, width, distance, stack_area, stack_pla
     return best
 
 
-@njit
+@njit(allocates=False)
 def _rank_of(code, least, offsets):
     """Least rank of a block that was put off."""
     level, place = code % _MAX_LEVELS + 1, code // _MAX_LEVELS
     return least[offsets[level] + (place >> _SHIFT), place & (_WIDTH - 1)]
 
 
-@njit
+@njit(allocates=False)
 def _neighbour_of(a, neighbour, members, slot_of, search):
     """Nearest neighbour of a cluster; one once found holds until it is merged itself."""
     b = neighbour[a]

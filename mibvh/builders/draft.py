@@ -55,7 +55,7 @@ class References:
         return cls(lower, upper, np.arange(len(corners), dtype=np.int32), scale)
 
 
-@njit
+@njit(allocates=False)
 def _largest(bits):
     """Bits of the largest magnitude, from the bits of float32 values.
 
@@ -67,7 +67,7 @@ def _largest(bits):
     return largest
 
 
-@njit
+@njit(allocates=False)
 def _boxes(corners, scale, unscale, lower, upper):
     """Scaled boxes of triangles, given as rows of nine coordinates.
 

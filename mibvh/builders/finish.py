@@ -47,7 +47,7 @@ def _holds(run, count, value):
     return i < count
 
 
-@njit
+@njit(allocates=False)
 def _distinct(ids, first, count, limit):
     """Count the distinct values of ``ids[first : first + count]``; at most ``limit + 1``."""
     distinct = 0
@@ -60,7 +60,7 @@ def _distinct(ids, first, count, limit):
     return distinct
 
 
-@njit
+@njit(allocates=False)
 def _drop_repeats(ids, first, count):
     """Keep the first of equal values of ``ids[first : first + count]``; return their new start.
 

@@ -123,7 +123,7 @@ def _draft_of(rows: F32, references: References, report: dict[str, Any]) -> Draf
     return Draft(references, left, right, reference, report)
 
 
-@njit
+@njit(allocates=False)
 def _area(measure, rows, row, at):
     """Measure of an entry, float64: half its area, or what is kept beside the box."""
     if measure is None:
@@ -134,7 +134,7 @@ def _area(measure, rows, row, at):
     return np.float64(rows[row, at + 6])
 
 
-@njit
+@njit(allocates=False)
 def _remeasure(measure, rows, row, at):
     """Keep the measure of an entry beside its new box."""
     if measure is not None:
@@ -149,7 +149,7 @@ def _remeasure(measure, rows, row, at):
         )
 
 
-@njit
+@njit(allocates=False)
 def _joint_area(measure, rows, row, at, x0, y0, z0, x1, y1, z1):
     """Measure of the box that joins an entry to the box given, float64."""
     if measure is None:
@@ -166,7 +166,7 @@ def _joint_area(measure, rows, row, at, x0, y0, z0, x1, y1, z1):
     )
 
 
-@njit
+@njit(allocates=False)
 def _refit(measure, rows, up, row):
     """Recompute the box of a row and of those above it, as far as they change.
 
@@ -191,7 +191,7 @@ def _refit(measure, rows, up, row):
     return saved
 
 
-@njit
+@njit(allocates=False)
 def _remove(measure, rows, links, up, entry):
     """Take an entry out of the tree, and the row it is in: its sibling takes their place.
 
@@ -208,7 +208,7 @@ def _remove(measure, rows, links, up, entry):
     return saved + _refit(measure, rows, up, above), place
 
 
-@njit
+@njit(allocates=False)
 def _insert(measure, rows, links, up, place, row, box, link):
     """Put a subtree, by box and link, beside the one at an entry; ``row`` joins the two."""
     above, at = place >> 1, (place & 1) << 3
@@ -226,7 +226,7 @@ def _insert(measure, rows, links, up, place, row, box, link):
     _refit(measure, rows, up, row)
 
 
-@njit
+@njit(allocates=False)
 def _cost_at(measure, rows, up, place, x0, y0, z0, x1, y1, z1):
     """Return what inserting a box at an entry costs."""
     row, at = place >> 1, (place & 1) << 3
@@ -239,7 +239,7 @@ def _cost_at(measure, rows, up, place, x0, y0, z0, x1, y1, z1):
     return cost
 
 
-@njit
+@njit(allocates=False)
 def _search(measure, rows, links, up, box, near, limit, keys, queue):
     """Find where inserting a box costs least.
 
@@ -305,7 +305,7 @@ def _search(measure, rows, links, up, box, near, limit, keys, queue):
     return place, best
 
 
-@njit
+@njit(allocates=False)
 def _move(measure, rows, links, up, node, undo, boxes, keys, queue):
     """Remove a node and its parent, reinsert its two children.
 

@@ -78,7 +78,7 @@ def _radix_tree(codes, order):
     return left, right, reference
 
 
-@njit
+@njit(allocates=False)
 def _below(a_high, a_low, b_high, b_low):
     """Whether the highest set bit of a is below that of b (128-bit values).
 

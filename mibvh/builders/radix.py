@@ -13,7 +13,7 @@ _DIGIT = 11
 _SHORT_RUN = 24
 
 
-@njit
+@njit(allocates=False)
 def _pass(source, target, order, other, shift, counts):
     """Move keys and their indices to where their digit puts them; False if all digits agree."""
     n = np.uint64(len(source))
@@ -39,7 +39,7 @@ def _pass(source, target, order, other, shift, counts):
     return True
 
 
-@njit
+@njit(allocates=False)
 def _sort_digits(keys, order, other_keys, other, low, high, counts):
     """Sort by bits ``low`` to ``high``. Whether the result ended up in the other arrays."""
     swapped = False

@@ -55,7 +55,7 @@ _BELOW = np.uint8(2)  # there is a dirty node below it
 _CHANGED = np.uint8(4)  # it was rotated in this sweep, which its parent must hear of
 
 
-@njit
+@njit(allocates=False)
 def box_area(measure, box, a):
     """Measure of a node's box, in float64: half its surface area where ``measure`` is None."""
     if measure is not None:
@@ -66,7 +66,7 @@ def box_area(measure, box, a):
     return x * y + (x + y) * z
 
 
-@njit
+@njit(allocates=False)
 def _union_area(measure, box, a, b):
     """Measure of the box around two nodes."""
     if measure is not None:
@@ -85,7 +85,7 @@ def _union_area(measure, box, a, b):
     return x * y + (x + y) * z
 
 
-@njit
+@njit(allocates=False)
 def _fit(left, right, box, node):
     """Make a node's box the one around its children."""
     a, b = left[node], right[node]
@@ -94,7 +94,7 @@ def _fit(left, right, box, node):
         box[node, k + 3] = max(box[a, k + 3], box[b, k + 3])
 
 
-@njit
+@njit(allocates=False)
 def rotation_change(measure, left, right, box, node, kind):
     """By how much a rotation changes the sum of inner areas; inf if there is no such one."""
     a, b = left[node], right[node]
@@ -115,7 +115,7 @@ def rotation_change(measure, left, right, box, node, kind):
     return after - (box_area(measure, box, a) + box_area(measure, box, b))
 
 
-@njit
+@njit(allocates=False)
 def rotate(left, right, box, node, kind):
     """Do one rotation, and fit the boxes of the children that it touches."""
     a, b = left[node], right[node]
@@ -137,7 +137,7 @@ def rotate(left, right, box, node, kind):
         _fit(left, right, box, a)
 
 
-@njit
+@njit(allocates=False)
 def _hill_chunk(measure, left, right, box, state, stack, top, steps):
     """Go on with a sweep of hill climbing, bottom-up, for at most so many steps.
 
@@ -186,14 +186,14 @@ def _hill_chunk(measure, left, right, box, state, stack, top, steps):
     return top, done
 
 
-@njit
+@njit(allocates=False)
 def _below(left, right, state, node):
     if (state[left[node]] | state[right[node]]) & (_DIRTY | _BELOW):
         return _BELOW
     return np.uint8(0)
 
 
-@njit
+@njit(allocates=False)
 def _mix(x):
     """Scramble a 64-bit counter (the finaliser of SplitMix64): the same bits everywhere."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -201,7 +201,7 @@ def _mix(x):
     return x ^ (x >> np.uint64(31))
 
 
-@njit
+@njit(allocates=False)
 def _anneal_chunk(measure, left, right, box, begin, end, seed, sweep, temperature, exponential):
     """Propose one random rotation at each inner node from ``begin`` to ``end``.
 
@@ -224,7 +224,7 @@ def _anneal_chunk(measure, left, right, box, begin, end, seed, sweep, temperatur
     return done, changed
 
 
-@njit
+@njit(allocates=False)
 def inner_area(measure, left, box):
     """Sum of the measures of all inner nodes."""
     total = 0.0

@@ -475,7 +475,9 @@ def _run(measure, corners, scale, rules, lists, side, links, task, once, childre
     total = len(lists) // 6
     # The child with less room goes first, so that few wait.
     stack = np.empty((128, 8), np.int64)
-    stack[0] = task
+    # Item by item: Numba takes two seconds to compile what it would say of slices.
+    for k in range(8):
+        stack[0, k] = task[k]
     top = 1
     while top > 0:
         top -= 1
@@ -489,8 +491,8 @@ def _run(measure, corners, scale, rules, lists, side, links, task, once, childre
         left[node], right[node] = node + 1, node + behind
         if once:
             return
-        stack[top] = children[0]
-        stack[top + 1] = children[1]
+        for k in range(8):
+            stack[top, k], stack[top + 1, k] = children[0, k], children[1, k]
         top += 2
 
 

@@ -194,7 +194,7 @@ def pack_boxes(references: References) -> F32:
 # ------------------------------------------------------------------ splitting up front
 
 
-@njit
+@njit(allocates=False)
 def _dominant_plane(boxes, row, origin, extent):
     """Find the coarsest spatial median plane of the scene box that a box straddles.
 
@@ -241,7 +241,7 @@ def _dominant_plane(boxes, row, origin, extent):
     return best, best_axis, best_plane
 
 
-@njit
+@njit(allocates=False)
 def _priorities(begin, end, out, corners, scale, boxes, origin, extent):
     """Fill a part of (N,) float64: ``(2**i * (A_box - A_ideal)) ** (1/3)``.
 
@@ -270,7 +270,7 @@ def _priorities(begin, end, out, corners, scale, boxes, origin, extent):
             out[t] = (2.0**level * excess) ** (1.0 / 3.0)
 
 
-@njit
+@njit(allocates=False)
 def _splits_at(priorities, factor):
     """Total splits when triangle t gets ``floor(factor * p_t)`` of them."""
     total = 0.0
@@ -379,7 +379,7 @@ def _split_block(
     return used
 
 
-@njit
+@njit(allocates=False)
 def _longest(box):
     """Longest extent of a box, as float64."""
     return -np.float64(min(box[4] + box[0], min(box[5] + box[1], box[6] + box[2])))

@@ -82,7 +82,7 @@ class Costs(NamedTuple):
     measure: Any  #: of boxes; None is the area
 
 
-@njit
+@njit(allocates=False)
 def _node_cost(node, nodes, costs):
     """Least cost of a subtree, times its area, from those of its children."""
     left, count, cost = nodes.left, nodes.count, nodes.cost
@@ -108,7 +108,7 @@ def subtree_costs(left, right, box, count, c_inner, c_tri, max_leaf, measure):
     return cost
 
 
-@njit
+@njit(allocates=False)
 def _below(node, left, right, tips, tip, spare, free):
     """Append the leaf nodes below a node, itself included, to ``tips``, the others to ``spare``.
 
@@ -129,7 +129,7 @@ def _below(node, left, right, tips, tip, spare, free):
     return tip, free
 
 
-@njit
+@njit(allocates=False)
 def _first_of_each(tips, tip, owner):
     """Move the first leaf node of each triangle to the front, and return how many there are."""
     kept = 0
@@ -143,7 +143,7 @@ def _first_of_each(tips, tip, owner):
     return kept
 
 
-@njit
+@njit(allocates=False)
 def _join_parts(node, tips, tip, spare, owner, nodes, costs):
     """Make the leaf nodes ``tips`` the subtree of ``node``, with one leaf for each triangle.
 
@@ -176,7 +176,7 @@ def _join_parts(node, tips, tip, spare, owner, nodes, costs):
         last = parent
 
 
-@njit
+@njit(allocates=False)
 def _refit(node, owner, nodes, costs):
     """Compute owner, box, references and cost of a node from its children."""
     left, right, box, count, cost = nodes
@@ -213,7 +213,7 @@ def join_small(owner, nodes, costs):
             _join_parts(node, tips, tip, spare[1:], owner, nodes, costs)
 
 
-@njit
+@njit(allocates=False)
 def _find_repeats(size, lane, leaves, owner, nodes, max_leaf, work, s_again):
     """Count, for every subset of a treelet's leaves, the references it could do without.
 
@@ -275,7 +275,7 @@ def _grow(measure, root, size, lane, nodes, leaves, inner):
         node = leaves[place, lane]
 
 
-@njit
+@njit(allocates=False)
 def _solve(size, owner, c_inner, c_tri, max_leaf, measure, s_box, s_count, s_again, s_cost):
     """Run the dynamic programme, for eight treelets side by side.
 
@@ -340,7 +340,7 @@ def _solve(size, owner, c_inner, c_tri, max_leaf, measure, s_box, s_count, s_aga
         lanes.store(s_cost, s, lanes.least(leaf, inner))
 
 
-@njit
+@njit(allocates=False)
 def _side_of_union(s_box, s, a, b):
     """Write lower and upper bound of the union of two boxes on one axis; return its length.
 

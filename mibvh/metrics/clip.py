@@ -82,7 +82,7 @@ def _cut(corners, source, n, target, axis, limit, sign):
     return np.int64((place - begin) // _THREE)
 
 
-@njit(inline="always")
+@njit(allocates=False, forceinline=True)
 def measure(polygons, row, n):
     """Write the corner count, the box and the area of the polygon in a row; return the area."""
     corners, limits = polygons.corners, polygons.limits
@@ -110,7 +110,7 @@ def measure(polygons, row, n):
     return area
 
 
-@njit(inline="always")
+@njit(allocates=False, forceinline=True)
 def area_of(polygons, row, n):
     """Return the area of the polygon of ``n`` corners in a row, which is not measured: its bits."""
     corners = polygons.corners
@@ -127,7 +127,7 @@ def area_of(polygons, row, n):
     return 0.5 * np.sqrt(x * x + y * y + z * z)
 
 
-@njit(inline="always")
+@njit(allocates=False, forceinline=True)
 def clip(polygons, row, box, node, spare):
     """Clip the polygon in a row by the planes of a node's box that cut the polygon's own box.
 
@@ -155,7 +155,7 @@ def clip(polygons, row, box, node, spare):
     return row, n
 
 
-@njit(inline="always")
+@njit(allocates=False, forceinline=True)
 def touches(limits, row, box, node):
     """Whether the closed box in a row of ``limits`` and that of a node have a point in common."""
     a, b = _SIX * np.uint64(row), _SIX * np.uint64(node)

@@ -102,7 +102,7 @@ def workspace(depth: int) -> Work:
     )
 
 
-@njit(inline="always")
+@njit(allocates=False, forceinline=True)
 def _foreign(nodes, subtrees, low, high, row, base, weight, work, sums):
     """Add the areas of the polygon in a row inside ``subtrees[low:high]`` and all below them.
 
