@@ -365,6 +365,24 @@ def test_what_mitsuba_refuses_is_one_sentence(tmp_path, body, said):
     assert "\n" not in text
 
 
+def test_a_chain_of_includes_is_said_once(tmp_path):
+    path = write(tmp_path, '<include filename="a.xml"/>')
+    with pytest.raises(mibvh.MibvhError) as found:
+        mibvh.load(path)
+    assert "Exceeded maximum include recursion depth" in str(found.value)
+    assert "while processing" not in str(found.value)
+    write(tmp_path, '<include filename="no.xml"/>', "b.xml")
+    with pytest.raises(mibvh.MibvhError, match=r'a\.xml: .*b\.xml \(line .*"no\.xml" not found'):
+        mibvh.load(write(tmp_path, '<include filename="b.xml"/>'))
+
+
+def test_a_shape_of_no_numbers_is_named(tmp_path):
+    ends = '<point name="p0" value="1, 2, 3"/><point name="p1" value="1, 2, 3"/>'
+    body = CUBE + f'<shape type="cylinder" id="pin">{ends}</shape>'
+    with pytest.raises(mibvh.MibvhError, match=r"a\.xml: Cylinder 'pin': 96 of 96 triangles have"):
+        mibvh.load(write(tmp_path, body))
+
+
 def test_instances_are_counted_before_they_are_made(tmp_path, monkeypatch):
     monkeypatch.setattr("mibvh.memory.available_memory", lambda: 35 * 72)
     body = GROUP.format('<shape type="cube"/>') + instance("g", "") * 3

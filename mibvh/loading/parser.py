@@ -139,6 +139,7 @@ def mitsuba_reason(error: Exception) -> str:
     if isinstance(error, UnicodeError):
         return "its message, or the file, has bytes that are not UTF-8"
     text = " ".join(re.sub(r"\[parser\.cpp:\d+\] ", "", str(error)).split())
+    text = text.rpartition("while processing <include>: ")[2]  # each file above says it again
     before, ours, sentence = text.rpartition("MibvhError: ")
     if not ours:
         return text or type(error).__name__

@@ -9,7 +9,7 @@ import numpy as np
 from mibvh.errors import MibvhError
 from mibvh.loading.mesh import Refused, check_indices
 from mibvh.tessellate import tessellate
-from mibvh.triangles import F32, F64
+from mibvh.triangles import F32, F64, Triangles
 
 
 def shape_key(shape: Any, name: str | None = None) -> tuple[Any, ...]:
@@ -58,6 +58,7 @@ def shape_triangles(shape: Any) -> tuple[F32 | None, str]:
         raise MibvhError(f"{kind} {shape.id()!r}: {error}") from None
     if corners is None:
         return None, f"{kind} {shape.id()!r} is not made of triangles and was left out"
+    Triangles(corners, f"{kind} {shape.id()!r}")  # refuses NaN, which no message could place later
     return corners, f"{kind} {shape.id()!r} was tessellated into {len(corners)} triangles{note}"
 
 
