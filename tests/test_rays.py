@@ -79,7 +79,7 @@ def test_cameras_whose_rays_are_no_numbers(cornell):
             mibvh.MibvhError, match=r"viewpoint [01] makes rays that are no numbers"
         ):
             mibvh.diffuse_rays(scene, **FEW)
-    with pytest.raises(mibvh.MibvhError, match="sees any geometry.*scale it up"):
+    with pytest.raises(mibvh.MibvhError, match=r"sees any geometry.*scale it up"):
         mibvh.diffuse_rays(mibvh.load(cube * np.float32(1e-16)), **FEW)
     assert len(mibvh.diffuse_rays(mibvh.load(cube * np.float32(1e-15)), **FEW)) > 0
 
