@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
-import contextlib
+import dataclasses
 import re
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from mibvh.errors import MibvhError
+from mibvh.triangles import F64
 from mibvh.variant import mitsuba
 
 #: The group's name in an instance's description, the only place that has it.
 _GROUP = re.compile(r'shapegroup = ShapeGroup\[\s*name = "(.*)",')
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Placed:
+    """A shape, and where it stands.
+
+    Attributes
+    ----------
+    shape : mitsuba.Shape
+    name : str
+        Its id, or what :func:`member_name` makes of its place in a group.
+    at : list of (4, 4) float64, or None
+        Where its instances stand; None for a shape that stands once, as it is.
+    """
+
+    shape: Any
+    name: str
+    at: list[F64] | None
 
 
 def member_name(group: str, place: int) -> str:
@@ -21,56 +39,73 @@ def member_name(group: str, place: int) -> str:
     return f"__instanced_{group}_{place:06d}"
 
 
-@contextlib.contextmanager
-def members_named(scene: Any) -> Iterator[tuple[list[Any], dict[str, list[Any]]]]:
-    """Let the members of instanced shape groups stand for the instances, under known names.
+def placed_shapes(scene: Any, known: dict[str, list[F64]]) -> list[Placed]:
+    """Shapes of a scene, with the members of shape groups for the instances.
+
+    A shape that several groups hold, or a group and the scene, is there once for each.
 
     Parameters
     ----------
     scene : mitsuba.Scene
-
-    Yields
-    ------
-    shapes : list of mitsuba.Shape
-        The scene's shapes without its instances, and the groups' members.
-    placed : dict of str to list of (4, 4) float64
-        Transforms of the instances of each member, by the member's name. The members have these
-        names inside the ``with`` block.
+    known : dict of str to list of (4, 4) float64
+        Where the shapes of these ids stand, if not as they are.
 
     Raises
     ------
     MibvhError
-        If the group of an instance cannot be found.
+        If the group of an instance cannot be told.
     """
     mi = mitsuba()
-    shapes = [shape for shape in scene.shapes() if shape.class_name() != "Instance"]
-    instances = [shape for shape in scene.shapes() if shape.class_name() == "Instance"]
+    shapes = list(scene.shapes())
+    instances = [shape for shape in shapes if shape.class_name() == "Instance"]
+    placed = [
+        Placed(shape, shape.id(), known.get(shape.id()))
+        for shape in shapes
+        if shape.class_name() != "Instance"
+    ]
     groups = _groups(mi, scene) if instances else {}
-    placed: dict[str, list[Any]] = {}
-    members: dict[str, Any] = {}
+    where: dict[str, list[F64]] = {}
     for instance in instances:
         told = _GROUP.search(str(instance))
-        if told is None or told.group(1) not in groups:
-            raise MibvhError(f"the shape group of instance {instance.id()!r} cannot be found")
+        called = groups.get(told.group(1), []) if told else []
+        if told is None or len(called) != 1:
+            raise MibvhError(
+                f"the shape group of instance {instance.id()!r} cannot be told: "
+                f"{len(called)} groups have its name"
+            )
         matrix = np.array(mi.traverse(instance)["to_world"].matrix, np.float64).reshape(4, 4)
-        for place, member in enumerate(groups[told.group(1)]):
-            name = member_name(told.group(1), place)
-            members[name] = member
-            placed.setdefault(name, []).append(matrix)
-    before = {name: member.id() for name, member in members.items()}
-    try:
-        for name, member in members.items():
-            member.set_id(name)
-        yield [*shapes, *members.values()], placed
-    finally:
-        for name, member in members.items():
-            member.set_id(before[name])
+        where.setdefault(told.group(1), []).append(matrix)
+    for name, matrices in where.items():
+        members = _objects(mi, groups[name][0])
+        placed += [Placed(m, member_name(name, i), matrices) for i, m in enumerate(members)]
+    return placed
 
 
 def _groups(mi: Any, scene: Any) -> dict[str, list[Any]]:
-    """Shapes of each shape group, in order, by the group's name."""
+    """Shape groups of a scene by their names, which need not differ."""
     found: dict[str, list[Any]] = {}
-    for node, (parent, _) in mi.traverse(scene).hierarchy.items():
-        if parent is not None and parent.class_name().startswith("ShapeGroup"):
-            found.setdefault(parent.id(), []).append(node)
+    for group in _objects(mi, scene):
+        if group.class_name().startswith("ShapeGroup"):
+            called = found.setdefault(group.id(), [])
+            if group not in called:
+                called.append(group)
+    return found
+
+
+def _objects(mi: Any, parent: Any) -> list[Any]:
+    """What an object holds, in order, each as often as it does: mi.traverse names it once."""
+    found: list[Any] = []
+
+    class Listed(mi.TraversalCallback):
+        def put(self, name: str, value: Any, flags: int, cpptype: Any = None) -> None:
+            if isinstance(value, mi.Object):
+                found.append(value)
+
+        def put_object(self, name: str, value: Any, flags: int) -> None:
+            found.append(value)
+
+        def put_value(self, name: str, value: Any, flags: int, cpptype: Any) -> None:
+            pass
+
+    parent.traverse(Listed())
     return found

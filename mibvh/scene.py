@@ -14,7 +14,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from mibvh.errors import MibvhError
-from mibvh.instances import members_named
+from mibvh.instances import placed_shapes
 from mibvh.loading import printable, read_mesh, sandbox
 from mibvh.loading.parser import Parsed, mitsuba_reason, parse_dict, parse_file
 from mibvh.loading.shapes import mesh_corners, shape_key, shape_kind, shape_triangles, transformed
@@ -259,8 +259,7 @@ def _from_object(source: Any) -> Scene:
         return _from_parsed("dict", functools.partial(parse_dict, source), "dict")
     mi = mitsuba()
     if isinstance(source, mi.Scene):
-        with members_named(source) as (shapes, instances):
-            found = _from_shapes("scene", Parsed(source, instances, []), shapes, "scene")
+        found = _from_shapes("scene", Parsed(source, {}, []), "scene")
         found.original = source
         return _with_viewpoints(found)
     corners = getattr(source, "triangles", source)
@@ -278,31 +277,34 @@ def _from_parsed(name: str, parse: Callable[..., Parsed], where: str) -> Scene:
     if not mitsuba_traces():
         with reading_variant():
             parsed = parse(flatten=True)
-            found = _from_shapes(name, parsed, parsed.scene.shapes(), where)
+            found = _from_shapes(name, parsed, where)
         found.sensors, found.original = [], None  # they are of the variant that has read them
         return _with_viewpoints(found)
     parsed = parse(flatten=True)
-    found = _with_viewpoints(_from_shapes(name, parsed, parsed.scene.shapes(), where))
+    found = _with_viewpoints(_from_shapes(name, parsed, where))
     if parsed.instances:
         found.reload = lambda: parse(flatten=False).scene
     return found
 
 
-def _from_shapes(name: str, parsed: Parsed, whole: list[Any], where: str) -> Scene:
+def _from_shapes(name: str, parsed: Parsed, where: str) -> Scene:
     """Triangles and cameras of a scene that Mitsuba has instantiated; there may be no camera."""
     shapes: list[tuple[F32, list[F64] | None]] = []
     notes = list(parsed.notes)
-    # The order of shapes() may differ between loads; triangle ids must not.
-    for shape in sorted(whole, key=shape_key):
-        try:
-            corners, note = shape_triangles(shape)
-        except MibvhError as error:
-            raise MibvhError(f"{where}: {error}") from None
-        if note:
-            notes.append(note)
-        if corners is None:
-            continue
-        shapes.append((corners, parsed.instances.get(shape.id())))
+    try:
+        # The order of shapes() may differ between loads; triangle ids must not.
+        placed = placed_shapes(parsed.scene, parsed.instances)
+        placed.sort(key=lambda found: shape_key(found.shape, found.name))
+        for found in placed:
+            corners, note = shape_triangles(found.shape)
+            if note:
+                notes.append(note)
+            if corners is not None:
+                shapes.append((corners, found.at))
+    except UnicodeDecodeError:
+        raise MibvhError(f"{where}: the id of a shape, or of a part of it, is not UTF-8") from None
+    except MibvhError as error:
+        raise MibvhError(f"{where}: {error}") from None
     if not shapes:
         detail = f" ({'; '.join(notes)})" if notes else ""
         raise MibvhError(f"{where}: there is no triangle in it{detail}")

@@ -233,6 +233,46 @@ def test_matrices_and_parts_of_nodes_agree(load):
         assert area(scene) == pytest.approx(6)
 
 
+@pytest.mark.parametrize(
+    ("node", "said"),
+    [
+        ({"matrix": None}, "a node's matrix is not 16 numbers: None"),
+        ({"matrix": [1] * 15}, "a node's matrix is not 16 numbers"),
+        ({"scale": [1, 2]}, r"a node's scale is not 3 numbers: \[1, 2\]"),
+        ({"scale": ["1", "2", "3"]}, "a node's scale is not 3 numbers"),
+        ({"translation": [[1, 2, 3]]}, "a node's translation is not 3 numbers"),
+        ({"rotation": {"x": 1}}, "a node's rotation is not 4 numbers"),
+        (None, "number 0 of its nodes is no object"),
+    ],
+)
+def test_transforms_that_are_none(load, node, said):
+    for scenes in ({"scenes": [{"nodes": [0]}]}, {}):  # the default scene; all root nodes
+        file = File(nodes=[node and {"mesh": 0, **node}], **scenes)
+        file.square()
+        with pytest.raises(mibvh.MibvhError, match=f"read as GLB: {said}"):
+            load(file)
+
+
+def test_hidden_nodes_are_left_out_with_those_below_them(load):
+    """Squares at x = 0, 2, 4, 6; the second is hidden, and the third below it."""
+    name = "KHR_node_visibility"
+    extra = {True: {"extensions": {name: {"visible": True}}}}
+    extra[False] = {"extensions": {name: {"visible": False}}}
+    nodes = [
+        {"children": [1, 2, 4]},
+        {"mesh": 0, **extra[True]},
+        {"mesh": 0, "translation": [2, 0, 0], "children": [3], **extra[False]},
+        {"mesh": 0, "translation": [2, 0, 0], **extra[True]},
+        {"mesh": 0, "translation": [6, 0, 0]},
+    ]
+    file = one_scene(nodes, extensionsRequired=[name])
+    file.square()
+    scene = load(file)
+    assert area(scene) == pytest.approx(2)
+    np.testing.assert_array_equal(np.unique(scene.triangles.lower[:, 0]), [0, 6])
+    assert scene.notes == [f"2 meshes that {name} hides were left out"]
+
+
 def test_transforms_of_parents_and_negative_scales(load):
     """The child is mirrored to x in -1 .. 0, the parent moves it by 10 and doubles it first."""
     nodes = [

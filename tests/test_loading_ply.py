@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import struct
 
 import numpy as np
@@ -141,6 +142,35 @@ def test_strips(load):
     assert scene.triangles.areas.sum() == pytest.approx(2)
 
 
+def test_strips_beside_faces(load):
+    """The triangle of the first face, then the unit square as a strip."""
+    head = TEXT[: TEXT.index(b"element face")].decode()
+    rows = TEXT[TEXT.index(b"end_header\n") :].decode().split("\n")[1 : 1 + len(POINTS)]
+    head += "element face 1\nproperty list int int vertex_indices\n"
+    head += "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+    scene = load((head + "\n".join([*rows, "3 0 1 2", "4 3 4 6 5", ""])).encode())
+    assert scene.triangles.areas.tolist() == [0.5, 0.5, 0.5]
+    np.testing.assert_array_equal(scene.triangles.lower[:, 0], [0, 2, 2])
+
+
+def test_lines_of_old_macs(load):
+    assert load(TEXT.replace(b"\n", b"\r")).triangles.areas.sum() == pytest.approx(3)
+    end = WHOLE.index(b"end_header") + len(b"end_header\n")
+    binary = WHOLE[:end].replace(b"\n", b"\r") + WHOLE[end:]
+    assert load(binary).triangles.areas.sum() == pytest.approx(3)
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_big_endian"])
+def test_indices_of_any_kind_of_numbers(load, form):
+    """Whole numbers in float32 are indices; anything else is none."""
+    assert load(ply(POINTS, [(3, 4, 5, 6)], form, index="float")).triangles.areas.sum() == 1
+    for wrong, said in ((1.5, "1.5"), (float("nan"), "nan"), (1e30, "1e+30"), (-1e30, "-1e+30")):
+        with pytest.raises(mibvh.MibvhError, match=f"names vertex {re.escape(said)}, which is no"):
+            load(ply(POINTS, [(3, 4, wrong)], form, index="float"))
+    with pytest.raises(mibvh.MibvhError, match=r"names vertex 1\.5, which is no index"):
+        load(ply(POINTS, [(3, 4, 1.5)], "ascii"))
+
+
 def test_edges_beside_faces_are_not_taken_for_them(load):
     content = ply(POINTS, FACES, "ascii").replace(
         b"end_header", b"element edge 1\nproperty int vertex1\nproperty int vertex2\nend_header"
@@ -150,6 +180,10 @@ def test_edges_beside_faces_are_not_taken_for_them(load):
 
 WHOLE = ply(POINTS, FACES)
 TEXT = ply(POINTS, FACES, "ascii")
+TWO_LISTS = ply(POINTS, [(0, 1, 2)], "ascii").replace(
+    b"vertex_indices", b"vertex_index\nproperty list uchar int vertex_indices"
+)
+TWO_LISTS = TWO_LISTS.replace(b"3 0 1 2\n", b"3 0 1 2 3 3 4 5\n")
 
 
 @pytest.mark.parametrize(
@@ -174,6 +208,10 @@ TEXT = ply(POINTS, FACES, "ascii")
         (WHOLE.replace(b"binary_little_endian 1.0", b"binary 1.0"), "says nothing"),
         (WHOLE.replace(b"list uchar", b"list float"), "a list of unknown type"),
         (ply(POINTS, [(0, 1, 2)], length="uint")[:-16] + b"\xff" * 16, "has fewer: cut short"),
+        (WHOLE.replace(b"float y", b"float x"), "two properties of 'vertex' of the name 'x'"),
+        (WHOLE.replace(b"element face", b"element vertex"), "two elements of the name 'vertex'"),
+        (TWO_LISTS, "its 'face' has two lists of vertices; keep one"),
+        (TEXT.replace(b"3 0 1 2\n", b"3 0 1 0_2\n"), "is not what is declared"),
         (b"ply\nformat ascii 1.0\n", "its header does not end"),
         (b"PLY\n", "does not begin with 'ply'"),
         (ply(POINTS, [(0, 0, 1)]), "its 1 triangles all have no area"),

@@ -115,6 +115,12 @@ def test_a_polygon_that_crosses_itself_is_named(load):
         "\tf\t1  2\t3 4  # a square\n",
         "g a b\ns off\nusemtl x\nf 1 2 3\nf 1 3 4\n",
         "vt 0 0\nvn 0 0 1\nvp 0.5\nmtllib no.mtl\no q\nf 1 2 3 4",
+        "# C:\\models\\\nf 1 2 3 4\n",
+        "f 1 2 3 # from C:\\models\\\nf 1 3 4\n",
+        "usemtl C:\\models\\\nf 1 2 3 4\n",
+        "g a\\\ng b \\ \nf 1 2 3 4\n",
+        "vt 0 \\\n0\nf 1 2 \\\n3 \\\n4\n",
+        "f 1 2 3 4\\",
     ],
 )
 def test_ways_to_write_a_square(load, faces):
@@ -141,6 +147,10 @@ def test_lines_and_points_are_counted(load):
     assert "1 points were left out" in notes
 
 
+def test_lines_of_old_macs(load):
+    assert load("s.obj", f"{SQUARE}f 1 2 3 4\n".replace("\n", "\r"))[1] == pytest.approx(1)
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "latin-1", "utf-8-sig", "utf-16"])
 def test_comments_in_any_encoding(load, encoding):
     body = f"# Größe\n{SQUARE}f 1 2 3\n".encode(encoding)
@@ -158,9 +168,12 @@ def test_comments_in_any_encoding(load, encoding):
         (SQUARE + "f 1 2 -5\n", "but there are 4 vertices"),
         ("v 0 0 0\nf -1 -2 -3\nv 1 0 0\nv 0 1 0\n", "but there are 3 vertices"),
         (SQUARE + "f 0 1 2\n", "names vertex 0, but OBJ counts from 1"),
-        (SQUARE + "f a b c\n", "names vertex 'a', which is no number"),
-        (SQUARE + "f 1 2 99999999999999999999\n", "which is no number"),
-        (SQUARE + "f 1.5 2 3\n", "which is no number"),
+        (SQUARE + "f a b c\n", "names vertex 'a', which is no whole number"),
+        (SQUARE + "f 1 2 99999999999999999999\n", "which is no whole number"),
+        (SQUARE + "f 1.5 2 3\n", "which is no whole number"),
+        (SQUARE + "f 1 2 1_0\n", "names vertex '1_0', which is no whole number"),
+        (f"\ufeff{SQUARE}f 1 2 \u0663\n", "names vertex '\u0663', which is no whole number"),
+        (SQUARE.replace("1 0 0", "1_0 0 0") + "f 1 2 3\n", "a vertex that is not numbers"),
         ("v 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a vertex that is not numbers"),
         ("v 0 0 x\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a vertex that is not numbers"),
         ("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "NaN, infinite or overlarge"),
@@ -199,6 +212,7 @@ OFF = "OFF\n4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n"
         "NOFF\n4 1 0\n0 0 0 0 0 1\n1 0 0 0 0 1\n1 1 0 0 0 1\n0 1 0 0 0 1\n4 0 1 2 3\n",
         OFF.replace("3 0 1 2", "3 0 1 2 1.0 0.5 0.5"),
         OFF.replace("\n", "\r\n"),
+        OFF.replace("\n", "\r"),
     ],
 )
 def test_off(load, body):
@@ -213,6 +227,8 @@ def test_off(load, body):
         (OFF.replace("4 2 0", "4 1 0"), "but it has 6 rows"),
         (OFF.removesuffix(" 3\n"), "declares 3 corners but has 2: cut short"),
         (OFF.replace("3 0 1 2", "3 0 1 9"), "names vertex 9"),
+        (OFF.replace("3 0 1 2", "3 0 1 0_2"), "a face that is not whole numbers"),
+        (OFF.replace("4 2 0", "0_4 2 0"), "no numbers of vertices and faces"),
         (OFF.replace("OFF", "4OFF"), "more than three dimensions"),
         (OFF.replace("OFF", "OFF BINARY"), "binary OFF is not read"),
         (OFF.replace("4 2 0", "4000000000 2 0"), "too few"),
@@ -254,6 +270,8 @@ def test_binary_stl_whatever_its_first_word(load, header):
         f"solid a\n{FACET}{FACET}endsolid a\n",
         f"solid\n{FACET}endsolid\nsolid b\n{FACET}endsolid b\n",
         f"  SOLID A\r\n{(FACET * 2).upper()}ENDSOLID\r\n",
+        f"solid a\n{FACET}{FACET}endsolid a\n".replace("\n", "\r"),
+        f"\ufeffsolid a\n{FACET}{FACET}endsolid a\n",
     ],
 )
 def test_stl_of_text(load, body):

@@ -5,6 +5,7 @@ import pytest
 from conftest import closed_box
 
 import mibvh
+from mibvh.variant import mitsuba
 
 FEW = {"width": 16, "height": 12, "samples": 1}
 
@@ -62,6 +63,25 @@ def test_round_trip_and_damage(rays, tmp_path):
     path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
     with pytest.raises(mibvh.MibvhError, match="damaged"):
         mibvh.RaySet.load(path)
+
+
+def test_cameras_whose_rays_are_no_numbers(cornell):
+    """One that stands nowhere, and those of cubes below what Mitsuba takes."""
+    mi = mitsuba()
+    nowhere = mi.ScalarTransform4f(np.diag([np.nan, 1, 1, 1]))
+    camera = mi.load_dict({"type": "perspective", "to_world": nowhere})
+    cube = mibvh.load({"type": "scene", "cube": {"type": "cube"}}).triangles.corners
+    for scene in (
+        dataclasses.replace(cornell, sensors=[cornell.sensors[0], camera]),
+        mibvh.load(cube * np.float32(1e-20)),
+    ):
+        with pytest.raises(
+            mibvh.MibvhError, match=r"viewpoint [01] makes rays that are no numbers"
+        ):
+            mibvh.diffuse_rays(scene, **FEW)
+    with pytest.raises(mibvh.MibvhError, match=r"no numbers|any geometry.*scale it up"):
+        mibvh.diffuse_rays(mibvh.load(cube * np.float32(1e-16)), **FEW)
+    assert len(mibvh.diffuse_rays(mibvh.load(cube * np.float32(1e-12)), **FEW)) > 0
 
 
 def test_viewpoints_that_see_nothing_and_paths_that_end(cornell):

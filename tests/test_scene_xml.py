@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import mibvh
+from mibvh.scene import mesh_corners
 from mibvh.variant import mitsuba
 
 SHEAR = '<matrix value="1 .5 0 0  0 1 .3 0  0 0 1 0  0 0 0 1"/>'
@@ -36,15 +37,17 @@ def distances(path, count=20_000):
     """Distances along the same rays: Mitsuba's own scene, and ours."""
     mi = mitsuba()
     ours = mibvh.load(path)
-    lower, upper = ours.triangles.bounds.astype(float)
-    center, reach = (lower + upper) / 2, max(ours.triangles.diagonal, 1.0)
+    scene = mi.load_file(str(path))  # kept until the hits are there: they are found late
+    box = scene.bbox()
+    lower = np.minimum(ours.triangles.bounds[0], np.array(box.min)).astype(float)
+    upper = np.maximum(ours.triangles.bounds[1], np.array(box.max)).astype(float)
+    center, reach = (lower + upper) / 2, max(float(np.linalg.norm(upper - lower)), 1.0)
     rng = np.random.default_rng(0)
     o = rng.normal(size=(count, 3))
     o = center + 1.5 * reach * o / np.linalg.norm(o, axis=1, keepdims=True)
     d = rng.uniform(lower, upper, (count, 3)) - o
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     ray = mi.Ray3f(mi.Point3f(o.T), mi.Vector3f(d.T))
-    scene = mi.load_file(str(path))  # kept until the hits are there: they are found late
     theirs = np.array(scene.ray_intersect_preliminary(ray).t)
     return theirs, np.array(ours.geometry.ray_intersect_preliminary(ray).t), reach
 
@@ -127,6 +130,46 @@ def test_meshes_of_a_serialized_file_by_their_index(tmp_path):
         assert scene.triangles.bounds[:, 2].tolist() == [z, z]
 
 
+@pytest.mark.parametrize("version", [3, 4])
+def test_indices_that_mitsuba_does_not_look_at(tmp_path, version):
+    """It would write beside its arrays. A square whose second triangle names vertex 77 of 4."""
+    corners = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    head = "ply\nformat {} 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
+    head += "property float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    rows = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 77\n"
+    (tmp_path / "text.ply").write_text(head.format("ascii") + rows)
+    faces = struct.pack("<B3iB3i", 3, 0, 1, 2, 3, 0, 2, 77)
+    data = head.format("binary_little_endian").encode() + np.array(corners, "<f4").tobytes() + faces
+    (tmp_path / "binary.ply").write_bytes(data)
+    name, kind = (b"m\0", "<QI") if version == 4 else (b"", "<II")
+    for flags, real, beside in ((0x1000, "<f4", 0), (0x200B, "<f8", 8)):  # all values, in double
+        body = struct.pack("<I", flags) + name + struct.pack("<QQ", 4, 2)
+        body += np.array(corners, real).tobytes() + np.zeros((4, beside), real).tobytes()
+        body += struct.pack("<6I", 0, 1, 2, 0, 2, 77)
+        data = struct.pack("<HH", 0x041C, version) + zlib.compress(body) + struct.pack(kind, 0, 1)
+        (tmp_path / f"{real[1:]}.serialized").write_bytes(data)
+    for file in ("text.ply", "binary.ply", "f4.serialized", "f8.serialized"):
+        kind = file.partition(".")[2]
+        shape = f'<shape type="{kind}"><string name="filename" value="{file}"/></shape>'
+        with pytest.raises(
+            mibvh.MibvhError, match=f"{file}: a face names vertex 77, but there are 4"
+        ):
+            mibvh.load(write(tmp_path, shape))
+
+
+def test_a_mesh_in_memory_whose_indices_are_wrong():
+    mi = mitsuba()
+    mesh = mi.Mesh("bent", vertex_count=3, face_count=1)
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = [0, 0, 0, 1, 0, 0, 0, 1, 0]
+    params["faces"] = [0, 1, 2]
+    params.update()
+    assert mesh_corners(mesh).shape == (1, 3, 3)
+    params["faces"] = [0, 1, 9]
+    with pytest.raises(mibvh.MibvhError, match="vertex 9, but there are 3"):
+        mesh_corners(mesh)
+
+
 def test_what_is_made_of_no_triangles_is_named(tmp_path):
     (tmp_path / "hair.txt").write_text("0 0 0 .1\n1 0 0 .1\n2 1 0 .1\n3 1 0 .1\n")
     file = '<string name="filename" value="hair.txt"/>'
@@ -169,6 +212,8 @@ def test_a_scene_without_area_is_refused(tmp_path):
 # ------------------------------------------------------------------ instances
 
 GROUP = '<shape type="shapegroup" id="g">{}</shape>'
+CUBE = '<shape type="cube"/>'
+RADUIS = '<float name="raduis" value="3"/>'
 
 
 @pytest.mark.parametrize(
@@ -207,6 +252,67 @@ def test_instances_are_where_mitsuba_has_them(tmp_path, body):
     same_as_mitsuba(write(tmp_path, body))
 
 
+RECTANGLE = '<shape type="rectangle" id="r"/>'
+REF = '<ref id="r"/>'
+MERGED = '<shape type="merge">{}</shape>'
+GLASS = '<shape type="cube"><bsdf type="dielectric"/></shape>'  # what no merge joins
+OTHER = '<shape type="shapegroup" id="h">{}</shape>'
+AT_7, AT_MINUS_7 = instance("g", '<translate x="7"/>'), instance("h", '<translate x="-7"/>')
+
+
+@pytest.mark.parametrize(
+    ("body", "count"),
+    [
+        (RECTANGLE + GROUP.format(REF) + AT_7, 2 + 2),
+        (GROUP.format(RECTANGLE) + REF + AT_7, 2 + 2),
+        (GROUP.format(RECTANGLE) + OTHER.format(REF + CUBE) + AT_7 + AT_MINUS_7, 2 + 2 + 12),
+        (
+            GROUP.format(MERGED.format(RECTANGLE)) + OTHER.format(MERGED.format(REF))
+            + AT_7 + AT_MINUS_7,
+            2 + 2,
+        ),
+        (GROUP.format(RECTANGLE) + MERGED.format(REF + GLASS) + AT_7, 2 + 12 + 2),
+        (GROUP.format(RECTANGLE + REF) + AT_7, 4),
+        (GROUP.format(RECTANGLE) + MERGED.format(CUBE + AT_7), 12 + 2),
+        (GROUP.format(RECTANGLE) + MERGED.format(AT_7), 2),
+    ],
+)  # fmt: skip
+def test_a_shape_that_stands_in_several_places(tmp_path, body, count):
+    """In the scene, groups and merges: each is a place of its own, in memory as in a file."""
+    path = write(tmp_path, body)
+    triangles = mibvh.load(path).triangles
+    assert len(triangles) == count
+    theirs = mitsuba().load_file(str(path))
+    box = theirs.bbox()
+    np.testing.assert_array_equal(triangles.bounds, [np.array(box.min), np.array(box.max)])
+    same_as_mitsuba(path)
+    np.testing.assert_array_equal(mibvh.load(theirs).triangles.corners, triangles.corners)
+
+
+def test_groups_that_are_objects_already():
+    """Loaded alone they take the names that their instances have for them."""
+    mi = mitsuba()
+    cube, flat = (
+        mi.load_dict({"type": "shapegroup", "shape": {"type": kind}})
+        for kind in ("cube", "rectangle")
+    )
+    place = mi.ScalarTransform4f().translate([9, 0, 0])
+    scene = {
+        "type": "scene",
+        "cube": cube,
+        "flat": flat,
+        "one": {"type": "instance", "a": cube},
+        "two": {"type": "instance", "b": flat, "to_world": place},
+    }
+    triangles = mibvh.load(scene).triangles
+    assert triangles.areas.sum() == pytest.approx(24 + 4)
+    np.testing.assert_array_equal(triangles.bounds, [[-1, -1, -1], [10, 1, 1]])
+    scene["two"] = {"type": "instance", "a": flat, "to_world": place}
+    for source in (scene, mi.load_dict(scene)):
+        with pytest.raises(mibvh.MibvhError, match="cannot be told: 2 groups have its name"):
+            mibvh.load(source)
+
+
 def test_spheres_in_groups(tmp_path):
     body = GROUP.format('<shape type="sphere"/>') + instance(
         "g", '<translate x="4"/><scale value="2"/>'
@@ -225,6 +331,27 @@ def test_spheres_in_groups(tmp_path):
         ),
         ('<shape type="cube"><animation name="to_world"/></shape>', "<animation>"),
         ('<shape type="instance"><ref id="nobody"/></shape>', "nobody"),
+        ('<shape type="instance"/><shape type="cube"/>', "A reference to a 'shapegroup' must be"),
+        (
+            '<shape type="cube" id="c"/>' + instance("c", ""),
+            "Only a shapegroup can be specified in an instance",
+        ),
+        (
+            '<shape type="instance"><shape type="shapegroup"><shape type="cube"/></shape></shape>',
+            "find key",  # a group has to stand in the scene
+        ),
+        (f'<shape type="sphere">{RADUIS}</shape>', 'float "raduis": 3'),
+        (GROUP.format(f'<shape type="sphere">{RADUIS}</shape>') + instance("g", ""), "raduis"),
+        (
+            GROUP.format('<shape type="cube"/>')
+            + f'<shape type="instance"><ref id="g"/>{RADUIS}</shape>',
+            "raduis",
+        ),
+        (
+            '<shape type="cube"><string name="filename" value="a.xml"/></shape>',
+            'string "filename": "a.xml"',
+        ),
+        ('<string name="a" value="b"/><shape type="cube"/>', 'string "a": "b"'),
         ('<include filename="no.xml"/>', "no.xml"),
         ('<shape type="cube">', "a.xml"),
     ],
@@ -238,6 +365,24 @@ def test_what_mitsuba_refuses_is_one_sentence(tmp_path, body, said):
     assert "\n" not in text
 
 
+def test_a_chain_of_includes_is_said_once(tmp_path):
+    path = write(tmp_path, '<include filename="a.xml"/>')
+    with pytest.raises(mibvh.MibvhError) as found:
+        mibvh.load(path)
+    assert "Exceeded maximum include recursion depth" in str(found.value)
+    assert "while processing" not in str(found.value)
+    write(tmp_path, '<include filename="no.xml"/>', "b.xml")
+    with pytest.raises(mibvh.MibvhError, match=r'a\.xml: .*b\.xml \(line .*"no\.xml" not found'):
+        mibvh.load(write(tmp_path, '<include filename="b.xml"/>'))
+
+
+def test_a_shape_of_no_numbers_is_named(tmp_path):
+    ends = '<point name="p0" value="1, 2, 3"/><point name="p1" value="1, 2, 3"/>'
+    body = CUBE + f'<shape type="cylinder" id="pin">{ends}</shape>'
+    with pytest.raises(mibvh.MibvhError, match=r"a\.xml: Cylinder 'pin': 96 of 96 triangles have"):
+        mibvh.load(write(tmp_path, body))
+
+
 def test_instances_are_counted_before_they_are_made(tmp_path, monkeypatch):
     monkeypatch.setattr("mibvh.memory.available_memory", lambda: 35 * 72)
     body = GROUP.format('<shape type="cube"/>') + instance("g", "") * 3
@@ -246,11 +391,6 @@ def test_instances_are_counted_before_they_are_made(tmp_path, monkeypatch):
 
 
 # ------------------------------------------------------------------ beside the geometry
-
-
-def test_text_at_the_root_is_no_instance(tmp_path):
-    scene = mibvh.load(write(tmp_path, '<string name="a" value="b"/><shape type="cube"/>'))
-    assert len(scene.triangles) == 12
 
 
 @pytest.mark.parametrize("kind", ["stokes", "no_such_integrator"])
@@ -300,6 +440,11 @@ def test_pipes_and_lying_headers_in_a_scene(tmp_path):
 def test_bytes_that_are_not_utf8(tmp_path):
     (tmp_path / "a.xml").write_bytes(b'<scene version="3.0.0"><shape type="caf\xe9"/></scene>')
     with pytest.raises(mibvh.MibvhError, match=r"a\.xml: Mitsuba cannot load it \(.+\)"):
+        mibvh.load(tmp_path / "a.xml")
+    (tmp_path / "a.xml").write_bytes(
+        b'<scene version="3.0.0"><shape type="cube" id="caf\xe9"/></scene>'
+    )
+    with pytest.raises(mibvh.MibvhError, match=r"a\.xml: the id of a shape, .+ is not UTF-8"):
         mibvh.load(tmp_path / "a.xml")
     path = os.fsdecode(os.fsencode(tmp_path) + b"/\xe9.xml")
     with open(path, "w") as file:

@@ -163,7 +163,20 @@ class Accessors:
         return buffer
 
     def _entry(self, kind: str, index: Any) -> dict[str, Any]:
-        entries = self._document.get(kind, [])
-        if not isinstance(index, int) or not 0 <= index < len(entries):
-            raise Refused(f"{kind} {index!r} is named, but there are {len(entries)}")
-        return dict(entries[index])
+        return entry(self._document, kind, index)
+
+
+def entry(document: dict[str, Any], kind: str, index: Any) -> dict[str, Any]:
+    """One of a document's nodes, meshes, accessors, ...
+
+    Raises
+    ------
+    Refused
+        If there is no such entry, or it is no object.
+    """
+    entries = document.get(kind, [])
+    if not isinstance(index, int) or not 0 <= index < len(entries):
+        raise Refused(f"{kind} {index!r} is named, but there are {len(entries)}")
+    if not isinstance(entries[index], dict):
+        raise Refused(f"number {index} of its {kind} is no object")
+    return dict(entries[index])

@@ -7,19 +7,21 @@ not known to leave the surface as it is, is refused by the extension's name.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mibvh.loading.accessors import Accessors
+from mibvh.loading.accessors import Accessors, entry
 from mibvh.loading.container import open_document
 from mibvh.loading.mesh import I64, Mesh, Refused, check_memory, corners_of
 from mibvh.triangles import F64
 
 DRACO, INSTANCING = "KHR_draco_mesh_compression", "EXT_mesh_gpu_instancing"
+VISIBILITY = "KHR_node_visibility"
 #: Extensions that are read, and kinds of them that say nothing of the surface.
-_READ = {"KHR_mesh_quantization", DRACO, INSTANCING}
+_READ = {"KHR_mesh_quantization", DRACO, INSTANCING, VISIBILITY}
 _NO_SURFACE = (
     "KHR_materials_",
     "KHR_texture_",
@@ -87,7 +89,8 @@ class _Reader:
                     f"it holds {len(scenes)} scenes; its default, number {chosen}, was read"
                 )
             return list(self._entry("scenes", chosen).get("nodes", []))
-        nodes = self.document.get("nodes", [])
+        count = len(self.document.get("nodes", []))
+        nodes = [self._entry("nodes", index) for index in range(count)]
         children = {child for node in nodes for child in node.get("children", [])}
         if len(scenes) > 1:
             self.notes.append(
@@ -96,19 +99,29 @@ class _Reader:
         return [index for index in range(len(nodes)) if index not in children]
 
     def _placed_nodes(self) -> list[tuple[int, list[F64]]]:
-        """Nodes of the scene with a mesh, and where each stands: once, or as instances."""
+        """Nodes of the scene with a mesh, and where each stands: once, or as instances.
+
+        A node that is hidden hides those below it.
+        """
         placed: list[tuple[int, list[F64]]] = []
-        waiting = [(root, np.eye(4)) for root in reversed(self._roots())]
+        waiting = [(root, np.eye(4), False) for root in reversed(self._roots())]
+        left_out = 0
         while waiting:
-            index, above = waiting.pop()
+            index, above, hidden = waiting.pop()
             node = self._entry("nodes", index)
             if index in self.globals:
                 raise Refused(f"node {index} stands in its tree of nodes twice")
             matrix = above @ _local(node)
             self.globals[index] = matrix
-            if "mesh" in node:
+            extension = node.get("extensions", {}).get(VISIBILITY, {})
+            hidden = hidden or extension.get("visible", True) is False
+            if "mesh" in node and hidden:
+                left_out += 1
+            elif "mesh" in node:
                 placed.append((index, self._instances(node, matrix)))
-            waiting.extend((child, matrix) for child in reversed(node.get("children", [])))
+            waiting.extend((child, matrix, hidden) for child in reversed(node.get("children", [])))
+        if left_out:
+            self.notes.append(f"{left_out:,} meshes that {VISIBILITY} hides were left out")
         return placed
 
     def _instances(self, node: dict[str, Any], matrix: F64) -> list[F64]:
@@ -131,10 +144,7 @@ class _Reader:
         ]
 
     def _entry(self, kind: str, index: Any) -> dict[str, Any]:
-        entries = self.document.get(kind, [])
-        if not isinstance(index, int) or not 0 <= index < len(entries):
-            raise Refused(f"{kind} {index!r} is named, but there are {len(entries)}")
-        return dict(entries[index])
+        return entry(self.document, kind, index)
 
     # -------------------------------------------------------------- meshes
 
@@ -266,8 +276,8 @@ def _faces(indices: I64, mode: int) -> I64:
 def _local(node: dict[str, Any]) -> F64:
     """(4, 4) float64: a node's transform, from its matrix or its parts."""
     if "matrix" in node:
-        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
-    x, y, z, w = np.array(node.get("rotation", (0.0, 0.0, 0.0, 1.0)), dtype=np.float64)
+        return _numbers(node, "matrix", np.eye(4).ravel()).reshape(4, 4).T
+    x, y, z, w = _numbers(node, "rotation", (0.0, 0.0, 0.0, 1.0))
     norm = np.sqrt(x * x + y * y + z * z + w * w)
     if not norm > 0:
         raise Refused("a node's rotation is no rotation")
@@ -278,9 +288,21 @@ def _local(node: dict[str, Any]) -> F64:
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ])  # fmt: skip
     matrix = np.eye(4)
-    matrix[:3, :3] = turn * np.asarray(node.get("scale", (1.0, 1.0, 1.0)), dtype=np.float64)
-    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    matrix[:3, :3] = turn * _numbers(node, "scale", (1.0, 1.0, 1.0))
+    matrix[:3, 3] = _numbers(node, "translation", (0.0, 0.0, 0.0))
     return matrix
+
+
+def _numbers(node: dict[str, Any], name: str, default: Sequence[float] | F64) -> F64:
+    """A property of a node, of as many numbers as its default."""
+    found = node.get(name, default)
+    try:
+        values = np.array(found, dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.zeros(0)
+    if values.shape != (len(default),) or any(isinstance(value, str) for value in found):
+        raise Refused(f"a node's {name} is not {len(default)} numbers: {str(found)[:60]}")
+    return values
 
 
 def _moved(corners: F64, matrix: F64) -> F64:

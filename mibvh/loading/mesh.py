@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from mibvh.memory import require_memory
 from mibvh.triangles import F64
 
 I64 = npt.NDArray[np.int64]
+#: What no index or count is longer than.
+_WHOLE = re.compile(r"[+-]?[0-9]{1,18}").fullmatch
 
 
 class Refused(Exception):
@@ -95,6 +98,33 @@ def numbers(rows: list[str], columns: tuple[int, ...]) -> F64:
     if len(found) != len(rows):
         raise Refused(f"{len(rows) - len(found)} of {len(rows)} vertices are empty lines")
     return found
+
+
+def whole(word: str) -> int:
+    """A whole number of a text; Python's int() takes 1_0, and the digits of all scripts.
+
+    Raises
+    ------
+    ValueError
+    """
+    if not _WHOLE(word):
+        raise ValueError(word)
+    return int(word)
+
+
+def indices_of(values: npt.NDArray[Any]) -> I64:
+    """(N,) int64: indices of vertices that a file has as any kind of numbers.
+
+    Raises
+    ------
+    Refused
+        If one is no whole number.
+    """
+    if values.dtype.kind == "f":
+        bad = ~((np.abs(values) < 2.0**53) & (values == np.floor(values)))  # NaN too
+        if bad.any():
+            raise Refused(f"a face names vertex {values[bad][0]:g}, which is no index")
+    return values.astype(np.int64)
 
 
 def collapsed(corners: F64, rounded: npt.NDArray[np.float32]) -> int:

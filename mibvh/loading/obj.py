@@ -2,7 +2,8 @@
 
 The format as Alias|Wavefront documented it (*Object Files (.obj)*, appendix B1 of the Advanced
 Visualizer manual): relative indices count back from the line they stand on, a backslash goes on
-with the next line, and a vertex may carry a weight or a colour after its position.
+with the next line, and a vertex may carry a weight or a colour after its position. Comments and
+names end with their line, as in Mitsuba: many of them are paths that end in a backslash.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import re
 
 import numpy as np
 
-from mibvh.loading.mesh import I64, Mesh, Refused, corners_of, numbers
+from mibvh.loading.mesh import I64, Mesh, Refused, corners_of, numbers, whole
 from mibvh.loading.polygons import triangulate
 from mibvh.loading.text import decode
 
@@ -19,6 +20,12 @@ from mibvh.loading.text import decode
 _NOTHING = re.compile(
     "vt|vn|vp|g|o|s|mg|usemtl|mtllib|usemap|maplib|bevel|c_interp|d_interp|lod|shadow_obj|"
     "trace_obj|end|#.*|"
+)
+#: A line of numbers that goes on with the next.
+_GOES_ON = re.compile(
+    r"^(?![ \t]*(?:g|o|usemtl|mtllib|usemap|maplib|shadow_obj|trace_obj)[ \t])"
+    r"([^#\n]*)\\[ \t]*(?:\n|\Z)",
+    re.MULTILINE,
 )
 #: Free-form curves and surfaces, and their obsolete forms.
 _FREE_FORM = re.compile(
@@ -34,7 +41,9 @@ def read(data: bytes) -> Mesh:
     Refused
         If it has free-form surfaces, or lines that are none of the format's.
     """
-    text = re.sub(r"\\[ \t]*\r?\n", " ", decode(data))
+    text = decode(data)
+    if "\\" in text:
+        text = _GOES_ON.sub(r"\1 ", text)
     positions: list[str] = []
     faces: list[str] = []
     seen: list[int] = []  # vertices above each face: what relative indices count back from
@@ -73,10 +82,10 @@ def _indices(faces: list[str], seen: I64) -> tuple[I64, I64]:
     sizes = np.array([len(w) for w in words], dtype=np.int64)
     named = [word.partition("/")[0] for face in words for word in face]
     try:
-        indices = np.array(named).astype(np.int64) if named else np.zeros(0, dtype=np.int64)
-    except (ValueError, OverflowError):
-        bad = next(word for word in named if not re.fullmatch(r"[+-]?\d{1,18}", word))
-        raise Refused(f"a face names vertex {bad[:20]!r}, which is no number") from None
+        indices = np.array([whole(word) for word in named], dtype=np.int64)
+    except ValueError as error:
+        bad = str(error)[:20]
+        raise Refused(f"a face names vertex {bad!r}, which is no whole number") from None
     if (indices == 0).any():
         raise Refused("a face names vertex 0, but OBJ counts from 1")
     relative = np.repeat(seen, sizes) + indices

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from mibvh.loading.mesh import Mesh, Refused, check_room, corners_of, numbers
+from mibvh.loading.mesh import Mesh, Refused, check_room, corners_of, numbers, whole
 from mibvh.loading.polygons import triangulate
 from mibvh.loading.text import decode
 
@@ -54,7 +54,7 @@ def read(data: bytes) -> Mesh:
 def _counts(rows: list[str]) -> tuple[int, int]:
     """Vertices and faces that the header declares; edges are not looked at."""
     try:
-        vertices, faces = (int(word) for word in rows[0].split()[:2])
+        vertices, faces = (whole(word) for word in rows[0].split()[:2])
     except (IndexError, ValueError):
         raise Refused("its header has no numbers of vertices and faces") from None
     return vertices, faces
@@ -64,8 +64,8 @@ def _corners(row: str) -> list[int]:
     """A face's corners; its colour, which may follow, is not looked at."""
     words = row.split()
     try:
-        size = int(words[0])
-        corners = [int(word) for word in words[1 : 1 + max(size, 0)]]
+        size = whole(words[0])
+        corners = [whole(word) for word in words[1 : 1 + max(size, 0)]]
     except ValueError:
         raise Refused(f"a face that is not whole numbers: {row[:40]!r}") from None
     if len(corners) != size:

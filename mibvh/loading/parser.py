@@ -16,7 +16,7 @@ import numpy as np
 
 from mibvh.errors import MibvhError
 from mibvh.instances import member_name
-from mibvh.loading import check_regular, ply, printable
+from mibvh.loading import check_regular, ply, printable, serialized
 from mibvh.loading.mesh import Refused
 from mibvh.registration import register
 from mibvh.triangles import F64
@@ -139,6 +139,7 @@ def mitsuba_reason(error: Exception) -> str:
     if isinstance(error, UnicodeError):
         return "its message, or the file, has bytes that are not UTF-8"
     text = " ".join(re.sub(r"\[parser\.cpp:\d+\] ", "", str(error)).split())
+    text = text.rpartition("while processing <include>: ")[2]  # each file above says it again
     before, ours, sentence = text.rpartition("MibvhError: ")
     if not ours:
         return text or type(error).__name__
@@ -150,21 +151,35 @@ def mitsuba_reason(error: Exception) -> str:
 
 
 def _check_files(mi: Any, state: Any, resolver: Any) -> None:
-    """Refuse pipes, which would be waited for, and meshes that declare more than they hold."""
+    """Refuse pipes, which would be waited for, and meshes that name more than they hold."""
     for node in state.nodes:
-        for name in node.props.keys():  # noqa: SIM118 - Properties is no dict
-            value = node.props[name]
-            if name != "filename" or not isinstance(value, str):
-                continue
-            path = Path(str(resolver.resolve(value)))
-            if not path.exists():
-                continue  # Mitsuba says which shape asked for it
-            check_regular(path)
+        value = _peek(node.props, "filename")
+        if not isinstance(value, str):
+            continue
+        path = Path(str(resolver.resolve(value)))
+        if not path.exists():
+            continue  # Mitsuba says which shape asked for it
+        check_regular(path)
+        try:
             if node.props.plugin_name() == "ply":
-                try:
-                    ply.check_file(path)
-                except Refused as error:
-                    raise MibvhError(f"{printable(path)}: {error}") from None
+                ply.check_file(path)
+            elif node.props.plugin_name() == "serialized":
+                serialized.check_file(path, _peek(node.props, "shape_index") or 0)
+        except Refused as error:
+            raise MibvhError(f"{printable(path)}: {error}") from None
+
+
+def _peek(props: Any, key: str) -> Any:
+    """A property, None if there is none.
+
+    Mitsuba refuses what no plugin has asked for, such as misspelt names: this asks for nothing.
+    """
+    if key not in props:
+        return None
+    asked = props.was_queried(key)
+    value = props[key]
+    props.mark_queried(key, asked)
+    return value
 
 
 def _instantiate(mi: Any, config: Any, state: Any) -> tuple[Any, list[str]]:
@@ -182,10 +197,9 @@ def _instantiate(mi: Any, config: Any, state: Any) -> tuple[Any, list[str]]:
             f"its integrator {found.group(1)!r} does not fit the variant {mi.variant()} and was "
             "left out"
         )
-    root = state.nodes[0].props
-    for key, node in list(_children(mi, state, root)):
-        if node.type == mi.ObjectType.Integrator:
-            del root[key]
+    for child in _children(mi, state, 0):
+        if state.nodes[child.index].type == mi.ObjectType.Integrator:
+            del state.nodes[0].props[child.key]
     return _one(mi.parser.instantiate(config, state)), [note]
 
 
@@ -196,57 +210,104 @@ def _one(found: Any) -> Any:
 # ------------------------------------------------------------------ instances
 
 
-def _children(mi: Any, state: Any, props: Any) -> Iterator[tuple[str, Any]]:
-    """The nodes that a node refers to, with the names of the properties that do."""
-    for key in list(props.keys()):
-        value = props[key]
-        if isinstance(value, mi.Properties.ResolvedReference):
-            yield key, state.nodes[value.index()]
+@dataclasses.dataclass(frozen=True)
+class _Child:
+    """A node that another one refers to: by which property, and its place in the list of nodes."""
+
+    key: str
+    index: int
+
+
+def _children(mi: Any, state: Any, index: int) -> list[_Child]:
+    """The nodes that a node refers to, in order.
+
+    By their places: a list of nodes that grows may move them.
+    """
+    props = state.nodes[index].props
+    found = ((key, _peek(props, key)) for key in list(props.keys()))
+    return [
+        _Child(key, value.index())
+        for key, value in found
+        if isinstance(value, mi.Properties.ResolvedReference)
+    ]
 
 
 def _expand_instances(mi: Any, state: Any) -> dict[str, list[F64]]:
     """Let the members of instanced shape groups stand in the scene once, under known names.
+
+    Instances that are not as Mitsuba wants them are left to it: it says what is wrong with them.
 
     Returns
     -------
     dict of str to list of (4, 4) float64
         For each such name, where its instances stand.
     """
-    root = state.nodes[0].props
+    _open_merged_instances(mi, state)
+    root = _children(mi, state, 0)
+    used = set(_members(mi, state, 0))
     placed: dict[str, list[F64]] = {}
-    for key, node in list(_children(mi, state, root)):
-        if node.props.plugin_name() != "instance":
+    for child in root:
+        if _plugin(state, child.index) != "instance":
             continue
-        matrix = np.eye(4)
-        if "to_world" in node.props.keys():  # noqa: SIM118 - Properties has no __contains__
-            matrix = np.array(node.props["to_world"].matrix, dtype=np.float64).reshape(4, 4)
-        group = next(
-            (
-                member
-                for k, member in _children(mi, state, node.props)
-                if member.props.plugin_name() == "shapegroup"
-            ),
-            None,
-        )
-        del root[key]
-        if group is None:
+        group = _group_of(mi, state, child.index)
+        if group not in {other.index for other in root}:
             continue
-        for place, (reference, shape) in enumerate(_members(mi, state, group.props)):
-            name = member_name(group.props.id(), place)
+        del state.nodes[0].props[child.key]
+        to_world = _peek(state.nodes[child.index].props, "to_world")
+        matrix = np.eye(4) if to_world is None else np.array(to_world.matrix, np.float64)
+        for place, member in enumerate(_members(mi, state, group)):
+            name = member_name(state.nodes[group].props.id(), place)
             if name not in placed:
                 placed[name] = []
-                shape.props.set_id(name)
-                root[name] = reference
-            placed[name].append(matrix)
+                state.nodes[0].props[name] = _named(mi, state, member, name, used)
+            placed[name].append(matrix.reshape(4, 4))
     return placed
 
 
-def _members(mi: Any, state: Any, props: Any) -> Iterator[tuple[Any, Any]]:
-    """Shapes of a group, those that are merged in it too: reference and node."""
-    for key, node in _children(mi, state, props):
-        if node.type != mi.ObjectType.Shape:
-            continue
-        if node.props.plugin_name() == "merge":
-            yield from _members(mi, state, node.props)
-        else:
-            yield props[key], node
+def _open_merged_instances(mi: Any, state: Any) -> None:
+    """Let the shapes of merges that hold an instance stand in the scene themselves."""
+    for child in _children(mi, state, 0):
+        parts = _children(mi, state, child.index)
+        members = list(_members(mi, state, child.index))
+        if (
+            _plugin(state, child.index) == "merge"
+            and "instance" in {_plugin(state, member) for member in members}
+            and len(parts) == len(state.nodes[child.index].props.keys())
+        ):
+            root = state.nodes[0].props
+            del root[child.key]
+            for place, member in enumerate(members):
+                root[f"__{child.key}_{place}"] = mi.Properties.ResolvedReference(member)
+
+
+def _members(mi: Any, state: Any, index: int) -> Iterator[int]:
+    """Shapes that a node holds, those that are merged in it too."""
+    for child in _children(mi, state, index):
+        if _plugin(state, child.index) == "merge":
+            yield from _members(mi, state, child.index)
+        elif state.nodes[child.index].type == mi.ObjectType.Shape:
+            yield child.index
+
+
+def _group_of(mi: Any, state: Any, instance: int) -> int | None:
+    """The group of an instance that has nothing beside it and its transform."""
+    children = _children(mi, state, instance)
+    names = {child.key for child in children} | {"to_world"}
+    if len(children) != 1 or not names.issuperset(state.nodes[instance].props.keys()):
+        return None
+    group = children[0].index
+    return group if _plugin(state, group) == "shapegroup" else None
+
+
+def _named(mi: Any, state: Any, index: int, name: str, used: set[int]) -> Any:
+    """Refer to a node under a name of its own: to a copy, if it stands elsewhere too."""
+    if index in used:
+        state.nodes.append(mi.parser.SceneNode(state.nodes[index]))
+        index = len(state.nodes) - 1
+    used.add(index)
+    state.nodes[index].props.set_id(name)
+    return mi.Properties.ResolvedReference(index)
+
+
+def _plugin(state: Any, index: int) -> str:
+    return str(state.nodes[index].props.plugin_name())

@@ -7,14 +7,26 @@ binary files and refuses those that are cut short (plyfile does, but is under th
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
-from mibvh.loading.mesh import I64, Mesh, Refused, check_room, corners_of, numbers
+from mibvh.loading.mesh import (
+    I64,
+    Mesh,
+    Refused,
+    check_indices,
+    check_room,
+    corners_of,
+    indices_of,
+    numbers,
+    whole,
+)
 from mibvh.loading.polygons import triangulate
+from mibvh.loading.text import decode
 from mibvh.triangles import F64
 
 _TYPES = {
@@ -23,6 +35,7 @@ _TYPES = {
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_INDICES = ("vertex_indices", "vertex_index")
 #: No header is longer.
 _LONGEST_HEADER = 1 << 20
 
@@ -69,10 +82,7 @@ def read(data: bytes) -> Mesh:
     """
     header = parse_header(data)
     check_counts(header, len(data))
-    if header.order:
-        columns, notes = _binary(data, header)
-    else:
-        columns, notes = _text(data[header.size :].decode("latin-1").split("\n"), header), []
+    columns, notes = _rows(data, header)
     vertices = _vertices(columns)
     indices, sizes = _polygons(header, columns)
     faces, more = triangulate(vertices, indices, sizes)
@@ -80,14 +90,26 @@ def read(data: bytes) -> Mesh:
 
 
 def check_file(path: Path) -> None:
-    """Refuse a file whose header declares more than it holds, for readers that believe it.
+    """Refuse what readers that believe a file crash on: lengths and indices beyond what it holds.
 
     Raises
     ------
     Refused
     """
     with path.open("rb") as file:
-        check_counts(_header_of(file), path.stat().st_size)
+        header = _header_of(file)
+        check_counts(header, path.stat().st_size)
+        file.seek(0)
+        data = file.read()
+    try:
+        columns, _ = _rows(data, header)
+    except Refused:
+        return  # they say it themselves
+    vertices = sum(element.count for element in header.elements if element.name == "vertex")
+    for name in _INDICES:
+        column = columns.get(("face", name))
+        if isinstance(column, tuple):
+            check_indices(indices_of(column[0]), vertices)
 
 
 def _header_of(file: BinaryIO) -> Header:
@@ -114,7 +136,7 @@ def parse_header(data: bytes) -> Header:
     if data[:3] != b"ply":
         raise Refused("it does not begin with 'ply'")
     end = data.find(b"end_header", 0, _LONGEST_HEADER)
-    line_end = data.find(b"\n", end)
+    line_end = data.find(b"\n" if b"\n" in data[:end] else b"\r", end)
     if end < 0:
         raise Refused("its header does not end")
     size = (line_end if line_end >= 0 else len(data) - 1) + 1
@@ -127,12 +149,15 @@ def parse_header(data: bytes) -> Header:
             case ["format", name, "1.0"] if name in _ORDERS:
                 order = _ORDERS[name]
             case ["element", name, count] if count.isascii() and count.isdigit():
+                _once(name, elements, "elements")
                 elements.append(Element(name, int(count)))
             case ["property", "list", length, kind, name] if elements:
                 if not {length, kind} <= set(_TYPES) or _TYPES[length][0] == "f":
                     raise Refused(f"its header has a list of unknown type: {line.strip()[:60]!r}")
+                _once(name, elements[-1].properties, f"properties of {elements[-1].name!r}")
                 elements[-1].properties.append(Property(name, _TYPES[kind], _TYPES[length]))
             case ["property", kind, name] if elements and kind in _TYPES:
+                _once(name, elements[-1].properties, f"properties of {elements[-1].name!r}")
                 elements[-1].properties.append(Property(name, _TYPES[kind]))
             case _:
                 raise Refused(f"its header has a line that says nothing: {line.strip()[:60]!r}")
@@ -141,11 +166,23 @@ def parse_header(data: bytes) -> Header:
     return Header(order, elements, size)
 
 
+def _once(name: str, there: Sequence[Element | Property], what: str) -> None:
+    """Refuse a second one of a name: which of them is meant, nobody can tell."""
+    if any(other.name == name for other in there):
+        raise Refused(f"its header has two {what} of the name {name[:40]!r}")
+
+
 # ------------------------------------------------------------------ rows
 
 #: A column of an element by (element, property): values, or (values in a row, lengths).
 Column = npt.NDArray[np.generic] | tuple[npt.NDArray[np.generic], I64]
 Columns = dict[tuple[str, str], Column]
+
+
+def _rows(data: bytes, header: Header) -> tuple[Columns, list[str]]:
+    if header.order:
+        return _binary(data, header)
+    return _text(decode(data[header.size :]).split("\n"), header), []
 
 
 def _binary(data: bytes, header: Header) -> tuple[Columns, list[str]]:
@@ -277,14 +314,14 @@ def _text_element(rows: list[str], element: Element, columns: Columns) -> None:
             for i, prop in enumerate(properties):
                 n = 1
                 if prop.length:
-                    n = int(words[at])
+                    n = whole(words[at])
                     at += 1
                     lengths[i].append(n)
                 values[i].extend(map(float, words[at : at + n]))
                 at += n
         except (ValueError, IndexError):
             at = -1
-        if at != len(words):
+        if at != len(words) or "_" in row:  # float() takes 1_0
             raise Refused(
                 f"a row of {element.name!r} is not what is declared: {row.strip()[:40]!r}"
             )
@@ -307,24 +344,27 @@ def _vertices(columns: Columns) -> F64:
 
 
 def _polygons(header: Header, columns: Columns) -> tuple[I64, I64]:
-    """Corners of all faces in a row, and how many each has."""
-    for element, names in (
-        ("face", ("vertex_indices", "vertex_index")),
-        ("tristrips", ("vertex_indices", "vertex_index")),
-    ):
-        for name in names:
-            column = columns.get((element, name))
-            if isinstance(column, tuple) and len(column[1]):
-                indices = column[0].astype(np.int64)
-                return (indices, column[1]) if element == "face" else _strips(*column)
-    counts = ", ".join(f"{e.count:,} of {e.name!r}" for e in header.elements)
-    raise Refused(f"there are no faces in it ({counts or 'nothing'})")
+    """Corners of all faces in a row, and how many each has; strips behind polygons."""
+    found: list[tuple[I64, I64]] = []
+    for element in ("face", "tristrips"):
+        lists = [columns.get((element, name)) for name in _INDICES]
+        match [column for column in lists if isinstance(column, tuple) and len(column[1])]:
+            case [(values, lengths)]:
+                indices = indices_of(values)
+                found.append((indices, lengths) if element == "face" else _strips(indices, lengths))
+            case [_, _]:
+                raise Refused(f"its {element!r} has two lists of vertices; keep one")
+    if not found:
+        counts = ", ".join(f"{e.count:,} of {e.name!r}" for e in header.elements)
+        raise Refused(f"there are no faces in it ({counts or 'nothing'})")
+    indices, sizes = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return indices, sizes
 
 
-def _strips(values: npt.NDArray[np.generic], lengths: I64) -> tuple[I64, I64]:
+def _strips(indices: I64, lengths: I64) -> tuple[I64, I64]:
     """Triangles of strips, which end at the end of a list or at an index of -1."""
     triangles: list[I64] = []
-    for row in np.split(values.astype(np.int64), np.cumsum(lengths)[:-1]):
+    for row in np.split(indices, np.cumsum(lengths)[:-1]):
         for strip in np.split(row, np.flatnonzero(row < 0)):
             run = strip[strip >= 0]
             if len(run) >= 3:

@@ -7,14 +7,20 @@ from typing import Any
 import numpy as np
 
 from mibvh.errors import MibvhError
+from mibvh.loading.mesh import Refused, check_indices
 from mibvh.tessellate import tessellate
-from mibvh.triangles import F32, F64
+from mibvh.triangles import F32, F64, Triangles
 
 
-def shape_key(shape: Any) -> tuple[Any, ...]:
-    """Sort key of a Mitsuba shape, the same in every load."""
+def shape_key(shape: Any, name: str | None = None) -> tuple[Any, ...]:
+    """Sort key of a Mitsuba shape, the same in every load; ``name`` in place of its id."""
     box = shape.bbox()
-    return (shape.id(), shape.primitive_count(), *np.array(box.min), *np.array(box.max))
+    return (
+        shape.id() if name is None else name,
+        shape.primitive_count(),
+        *np.array(box.min),
+        *np.array(box.max),
+    )
 
 
 def shape_kind(shape: Any) -> str:
@@ -23,9 +29,19 @@ def shape_kind(shape: Any) -> str:
 
 
 def mesh_corners(mesh: Any) -> F32:
-    """(N, 3, 3) float32: the triangles of a Mitsuba mesh, in the order of its faces."""
+    """(N, 3, 3) float32: the triangles of a Mitsuba mesh, in the order of its faces.
+
+    Raises
+    ------
+    MibvhError
+        If a face names a vertex that the mesh does not have: Mitsuba does not look.
+    """
     vertices = np.array(mesh.vertex_positions_buffer(), dtype=np.float32).reshape(-1, 3)
     faces = np.array(mesh.faces_buffer(), dtype=np.int64).reshape(-1, 3)
+    try:
+        check_indices(faces, len(vertices))
+    except Refused as error:
+        raise MibvhError(f"{shape_kind(mesh)} {mesh.id()!r}: {error}") from None
     return vertices[faces]
 
 
@@ -42,6 +58,7 @@ def shape_triangles(shape: Any) -> tuple[F32 | None, str]:
         raise MibvhError(f"{kind} {shape.id()!r}: {error}") from None
     if corners is None:
         return None, f"{kind} {shape.id()!r} is not made of triangles and was left out"
+    Triangles(corners, f"{kind} {shape.id()!r}")  # refuses NaN, which no message could place later
     return corners, f"{kind} {shape.id()!r} was tessellated into {len(corners)} triangles{note}"
 
 

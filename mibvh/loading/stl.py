@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 import struct
 
@@ -40,7 +41,7 @@ def read(data: bytes) -> Mesh:
 
 
 def _is_text(data: bytes) -> bool:
-    return data.lstrip()[:5].lower() == b"solid" and b"\0" not in data
+    return data.removeprefix(codecs.BOM_UTF8).lstrip()[:5].lower() == b"solid" and b"\0" not in data
 
 
 def _binary(data: bytes, count: int) -> Mesh:

@@ -6,10 +6,14 @@ import codecs
 
 
 def decode(data: bytes) -> str:
-    """Text of a mesh file: by its byte order mark, otherwise byte by byte.
+    """Text of a mesh file: by its byte order mark, otherwise byte by byte; lines end with LF.
 
     Only names and comments have other characters than ASCII's, and nobody reads those.
     """
+    return _decoded(data).replace("\r\n", "\n").replace("\r", "\n")  # CR alone: an old Mac's
+
+
+def _decoded(data: bytes) -> str:
     for mark, encoding in (
         (codecs.BOM_UTF8, "utf-8"),
         (codecs.BOM_UTF16_LE, "utf-16"),

@@ -22,6 +22,8 @@ from mibvh.variant import mitsuba
 #: A set with a greater share of rays that hit the triangle they leave is refused: what it costs
 #: would be wrong in the third digit.
 MOST_SELF_HITS = 1e-3
+#: Mitsuba hits a cube that is 2e-12 across; of 2e-13 it misses parts, by the number of threads.
+SMALLEST = 1e-12
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -135,7 +137,11 @@ def collect(
         if progress:
             progress((view + 1) / views)
     if hits == 0 and last > 0:
-        raise MibvhError(f"{scene.name}: no viewpoint sees any geometry, so there are no rays")
+        tiny = scene.triangles.diagonal < SMALLEST
+        reason = " (below 1e-12 across, Mitsuba misses hits; scale it up)" if tiny else ""
+        raise MibvhError(
+            f"{scene.name}: no viewpoint sees any geometry, so there are no rays{reason}"
+        )
     if not parts:
         raise MibvhError(f"{scene.name}: there are no {kind.name} rays that leave vertex {first}")
     meta = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from mibvh.errors import MibvhError
 from mibvh.rays.origins import clear_origin, corners_of, point_at
 from mibvh.scene import Scene
 from mibvh.traversal.geometry import triangle_hit
@@ -59,7 +60,13 @@ class Paths:
         self._corners = mi.Float(scene.triangles.corners.ravel())
 
     def camera(self, view: int, width: int, height: int, samples: int, seed: int) -> Vertices:
-        """Vertex 0 of the paths: what a viewpoint sends through random points of each pixel."""
+        """Vertex 0 of the paths: what a viewpoint sends through random points of each pixel.
+
+        Raises
+        ------
+        MibvhError
+            If that is NaN or infinite.
+        """
         import drjit as dr
 
         mi = mitsuba()
@@ -72,6 +79,11 @@ class Paths:
         )
         aperture = mi.Point2f(random.next_float32(), random.next_float32())
         rays = camera_rays(self.scene.sensors[view], place, aperture)
+        if not dr.all(dr.all(dr.isfinite(rays.o) & dr.isfinite(rays.d))):
+            raise MibvhError(
+                f"{self.scene.name}: viewpoint {view} makes rays that are no numbers: its transform"
+                " is none, or the scene is too small or large for Mitsuba's cameras"
+            )
         return Vertices(rays.o, None, None, random, rays)
 
     def meet(self, rays: Any, random: Any) -> Vertices | None:
