@@ -145,7 +145,7 @@ def test_what_a_user_adds_shows_everywhere(added, tmp_path):
     mine = tidy[tidy["measurement"] == "balance"]
     assert set(mine["experiment"]) == {"prediction", "rotation"}
     assert set(mine["unit"]) == {"levels"}
-    assert "imbalance" in (tmp_path / "tables" / "soup300-trees.csv").read_text()
+    assert "imbalance" in (tmp_path / "tables" / "soup300-trees-more.csv").read_text()
     # The predictor: correlations, rotation, sensitivity, noise, the page's headline and glossary.
     assert "by balance" in set(study.correlations["predictor"])
     assert (study.rotation["by_balance"] > 0).all()
