@@ -112,24 +112,23 @@ def _winner_row(sheet: Drawing, record: SceneRecord, places: dict[str, int], top
         Words(x=_BEGIN - 6, y=top + 37, text=_in_time(record), size=10, opacity=0.8),
         Stroke(points=np.array([[_BEGIN, y], [_END, y]]), colour=_GREY, opacity=0.5),
     )
-    for over in _MARKED:
-        x = _BEGIN + over / _MOST * (_END - _BEGIN)
-        mark = np.array([[x, y - 4], [x, y + 4]])
+    for mark in _MARKED:
+        x = _along(mark)
         sheet.add(
-            Stroke(points=mark, colour=_GREY, opacity=0.5),
-            Words(x=x, y=y + 13, text=f"+{over:.0%}" if over else "best", anchor="middle"),
+            Stroke(points=np.array([[x, y - 4], [x, y + 4]]), colour=_GREY, opacity=0.5),
+            Words(x=x, y=y + 13, text=f"+{mark:.0%}" if mark else "best", anchor="middle"),
         )
-    order = np.argsort(_over(record), kind="stable")
-    beyond = [i for i in order if _over(record)[i] > _MOST]
-    if beyond:
-        sheet.add(Words(x=_BEYOND - 4, y=y + 13, text=f"{len(beyond)} beyond"))
+    costs = _over(record)
+    order = np.argsort(costs, kind="stable")
+    on_line = int((costs <= _MOST).sum())
+    if on_line < len(order):
+        sheet.add(Words(x=_BEYOND - 4, y=y + 13, text=f"{len(order) - on_line} beyond"))
     # The best is drawn last, on top.
-    for i in order[::-1]:
-        tree, over = record.trees[i], float(_over(record)[i])
-        x = _BEGIN + over / _MOST * (_END - _BEGIN)
+    for rank, i in reversed(list(enumerate(order))):
+        tree, over = record.trees[i], float(costs[i])
         sheet.add(
             Dot(
-                x=_BEYOND + _APART * beyond.index(i) if over > _MOST else x,
+                x=_along(over) if rank < on_line else _BEYOND + _APART * (rank - on_line),
                 y=y,
                 size=10.0 if tree.builder == best.builder else 7.0,
                 colour=builder_colour(places[tree.builder]),
@@ -138,6 +137,11 @@ def _winner_row(sheet: Drawing, record: SceneRecord, places: dict[str, int], top
                 f"+{over:.1%} over the best",
             )
         )
+
+
+def _along(over: float) -> float:
+    """Where a cost over the best stands on the line."""
+    return _BEGIN + over / _MOST * (_END - _BEGIN)
 
 
 def _in_time(record: SceneRecord) -> str:

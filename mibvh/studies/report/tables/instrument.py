@@ -85,7 +85,7 @@ def _stopwatch(records: Records) -> Sheet:
 
 def _level_moved(frame: pd.DataFrame) -> str:
     """Which scenes' levels moved by more than a tenth, so that nobody compares their times."""
-    again = frame.set_index("scene")["again"] if "again" in frame else pd.Series(dtype=float)
+    again = frame.set_index("scene")["again"]
     moved = [f"{scene} ({value:+.1%})" for scene, value in again[again.abs() > _MOVED].items()]
     if not moved:
         return ""

@@ -44,14 +44,10 @@ def scene_answers(record: SceneRecord, correlations: pd.DataFrame) -> list[Sheet
     """
     main = columns(main=True)
     more = [quantity for quantity in columns() if quantity not in main]
-    return [
-        _trees(record, main, "trees", f"Trees of {record.scene}"),
-        *(
-            [_trees(record, more, "trees-more", f"More of the trees of {record.scene}")]
-            * bool(more)
-        ),
-        _agreement(record, correlations),
-    ]
+    sheets = [_trees(record, main, "trees", f"Trees of {record.scene}")]
+    if more:
+        sheets.append(_trees(record, more, "trees-more", f"More of the trees of {record.scene}"))
+    return [*sheets, _agreement(record, correlations)]
 
 
 def _trees(record: SceneRecord, shown: Sequence[Quantity], name: str, title: str) -> Sheet:
