@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import mibvh
-from mibvh.cli import _progress, _show, main
+from mibvh.cli import main
+from mibvh.cli.progress import progress_bar, show_stages
 
 
 def run(capsys, monkeypatch, *arguments):
@@ -368,9 +369,9 @@ def test_scenes_make_and_show(cli, tmp_path):
 
 
 def test_a_new_stage_has_time_left():
-    with _progress() as bar:
+    with progress_bar() as bar:
         task = bar.add_task("build", total=1.0)
-        show = _show(bar, task)
+        show = show_stages(bar, task)
         show("sort", 1.0)
         assert bar.tasks[task].finished
         show("split", 0.25)
