@@ -126,7 +126,7 @@ def _copy(pieces, sizes, source, target):
 
 @njit(allocates=False)
 def _touches(piece, n, low, high):
-    """Whether the piece's box and the box have more than a face in common."""
+    """Whether the piece's box and the box have a point in common."""
     for k in range(3):
         a = b = piece[0, k]
         for i in range(1, n):

@@ -75,7 +75,27 @@ def users_code(what: str, file: str) -> Iterator[None]:
         raise MibvhError(f"{what}{_place(error, Path(file))}: {_said(error)}") from error
 
 
-def file_of(function: Callable[..., object]) -> str:
+def is_bundled(function: Callable[..., object]) -> bool:
+    """Whether a function is of this package, and not a user's own."""
+    return (getattr(function, "__module__", None) or "").partition(".")[0] == "mibvh"
+
+
+def guard(what: str, function: Callable[..., object]) -> contextlib.AbstractContextManager[None]:
+    """Whatever a user's own function raises within becomes one sentence.
+
+    Parameters
+    ----------
+    what : str
+        Such as ``metric balance``.
+    function : callable
+        Errors of one of this package are left as they are.
+    """
+    if is_bundled(function):
+        return contextlib.nullcontext()
+    return users_code(f"{what} failed: ", _file_of(function))
+
+
+def _file_of(function: Callable[..., object]) -> str:
     """File that a function stands in; empty where that is not known."""
     code = getattr(inspect.unwrap(function), "__code__", None)
     return code.co_filename if code else ""

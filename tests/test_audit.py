@@ -13,6 +13,7 @@ import mibvh
 from mibvh.audit import audit, check_self_hits
 from mibvh.audit.hits import check_brute_force, check_mitsuba, wrong_hits
 from mibvh.audit.overlap import check_epo, check_sah, estimates
+from mibvh.audit.run import check_any_hit
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +112,28 @@ def test_a_whole_audit_passes(cornell, tree, rays):
     found = audit(cornell, tree, rays)
     assert [check.name for check in found.failures] == []
     assert {"tree", "sah", "epo", "hits", "mitsuba", "self hits"} <= {c.name for c in found.checks}
+
+
+@pytest.mark.parametrize("kind", ["shadow", "ao"])
+def test_occlusion_rays_are_audited_by_what_they_ask(cornell, kind):
+    """Any hit ends them: not the closest, and yet right. Blocked rays let through are not."""
+    rays = mibvh.make_rays(cornell, kind, width=48, height=36, samples=1)
+    tree = mibvh.build(cornell.triangles, "sbvh")
+    for audited in (tree, mibvh.collapse(tree, 8)):
+        found = audit(cornell, audited, rays)
+        assert [check.name for check in found.failures] == []
+        assert {"hits", "mitsuba", "blocked", "any hit"} <= {c.name for c in found.checks}
+    hits = mibvh.trace(tree, cornell.triangles, rays, repeats=1)
+    planted = dataclasses.replace(hits, triangle=np.full_like(hits.triangle, -1))
+    closest = mibvh.trace(tree, cornell.triangles, rays, any_hit=False, repeats=1)
+    faults = check_any_hit(tree, cornell.triangles, rays, planted, closest)
+    assert [check.passed for check in faults] == [False, False]
+
+
+def test_an_audit_without_rays_is_refused(cornell, rays):
+    none = rays.select(slice(0, 0))
+    with pytest.raises(mibvh.MibvhError, match="there are none in the set"):
+        audit(cornell, mibvh.build(cornell.triangles, "bbvh"), none)
 
 
 def _shrunk(tree):

@@ -250,6 +250,13 @@ def test_reinsertion_is_as_good_as_insertion():
     assert sah(mibvh.build(triangles, "reinsertion", start="bbvh")) < 1.03 * bittner
 
 
+@pytest.mark.parametrize("passes", [0, 1])
+def test_reinsertion_reports_the_passes_that_it_made(passes):
+    report = mibvh.build(room(100), "reinsertion", passes=passes).meta["report"]
+    assert report["iterations"] == (3 if passes else 0)
+    assert passes or report["moves"] == 0
+
+
 # ------------------------------------------------------------------ splitting up front
 
 

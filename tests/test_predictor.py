@@ -109,6 +109,19 @@ def test_path_length_in_a_closed_cube_by_hand():
     assert estimate_alpha(1.0) == 0.5
 
 
+def test_path_length_of_directions_of_any_length():
+    """Distances are in lengths of the direction; the ratio is of lengths in the scene."""
+    box = mibvh.Triangles(closed_box())
+    o = np.full((2, 3), 0.5, np.float32)
+    d = np.array([[0, 0, 1], [1, 0, 0]], np.float32)
+    ratios = []
+    for length in (1.0, 4.0):
+        rays = mibvh.RaySet(o, d * np.float32(length))
+        hits = mibvh.trace(mibvh.build(box, "bbvh"), box, rays, repeats=1)
+        ratios.append(path_length_ratio(box, rays, hits))
+    assert ratios == pytest.approx([0.75, 0.75])
+
+
 def test_finite_rays_are_predicted_without_a_fit():
     """The derivation's own case: segments of one length, of any place and direction.
 

@@ -12,6 +12,7 @@ from mibvh.metrics.occlusion import (
     saved_by_any_hit,
 )
 from mibvh.rays.kinds import KINDS
+from mibvh.studies.measure.counts import RayCounter
 from mibvh.variant import mitsuba
 
 FEW = {"width": 24, "height": 18, "samples": 2}
@@ -235,3 +236,14 @@ def test_estimates():
     assert estimate_alpha_any_hit(0.5, 1.0) == 0
     assert estimate_alpha_any_hit(0.5, 0.0) == pytest.approx(1 / 1.5)
     np.testing.assert_allclose(any_hit_ray_cost([10, 20], [5, 6], 0.5, [1, 2]), [9, 14])
+
+
+@pytest.mark.parametrize("kind", ["shadow", "ao"])
+def test_leaves_are_counted_in_the_tree_at_hand(cornell, kind):
+    """Ends and lines of occlusion rays are those of the closest hits in the first tree."""
+    rays = mibvh.make_rays(cornell, kind, width=32, height=24, samples=1)
+    counter = RayCounter(cornell, rays, cull=False)
+    for builder in ("lbvh", "sbvh"):
+        counts = counter(mibvh.build(cornell, builder))
+        leaves = np.arange(len(counts.leaf_distribution)) @ counts.leaf_distribution
+        assert leaves / len(rays) == pytest.approx(counts.values["leaves_per_ray"])

@@ -12,6 +12,7 @@ import pytest
 from conftest import scene_record, soup, tree_row
 
 import mibvh
+from mibvh.builders import registry as builder_registry
 from mibvh.metrics import registry as metric_registry
 from mibvh.metrics.predictors import Predictor, add_predictor, predictor, predictors
 from mibvh.metrics.predictors import registry as predictor_registry
@@ -291,6 +292,25 @@ def test_builders_given_as_a_text():
 def test_a_users_builder_that_splits_triangles_is_seen_to():
     plain, mine = tree_row("bbvh", references=100), tree_row("mine", references=101)
     assert splitting_builders([scene_record([plain, mine])]) == {"mine"}
+
+
+def test_a_users_builder_of_a_bundled_name_stays(monkeypatch):
+    """Bundled builders are imported when they are asked for, some of them by another."""
+    bundled = builder_registry.get("bbvh")
+    monkeypatch.setitem(builder_registry._registered, "bbvh", bundled)  # to be put back
+
+    @mibvh.builder("bbvh", summary="mine")
+    def mine(triangles, options, context):
+        raise ValueError("wrong")
+
+    mibvh.builder("bbvh", summary=bundled.summary)(bundled.function)  # what an import does
+    own = builder_registry.get("bbvh")
+    assert own.function is mine
+    assert (bundled.bundled, own.bundled) == (True, False)
+    assert own.code() is None  # a study builds its trees in every run
+    assert own.asks_scene
+    with pytest.raises(mibvh.MibvhError, match=r"builder bbvh failed: .*ValueError: wrong"):
+        mibvh.build(soup(20), "bbvh")
 
 
 def test_progress_of_three_arguments_still_works(tmp_path):

@@ -9,6 +9,7 @@ from conftest import soup
 import mibvh
 from mibvh.builders import registry
 from mibvh.studies.measure import store as store_module
+from mibvh.studies.measure.looks import scene_digest
 from mibvh.studies.measure.store import Store
 
 CHOICES = {"width": 24, "height": 16, "scalar_rays": 256, "seconds": 0.0}
@@ -89,6 +90,22 @@ def test_everything_is_made_anew_by_other_code(tmp_path, monkeypatch):
     monkeypatch.setattr(store_module, "code_digest", lambda *modules: "other code")
     other = run(tmp_path, "bbvh", "lbvh").scenes[0].reused
     assert not any(other.get(name, 0) for name in pieces)
+
+
+@pytest.mark.parametrize("instanced", [False, True])
+def test_lights_are_in_the_key_of_shadow_rays(instanced, tmp_path):
+    """Those of a scene with instances, too, which is not kept as Mitsuba loads it."""
+    cube = '<shape type="cube"/>'
+    if instanced:
+        cube = f'<shape type="shapegroup" id="g">{cube}</shape>'
+        cube += '<shape type="instance"><ref id="g"/></shape>'
+    digests = set()
+    for y in (5, 6):
+        path = tmp_path / f"at{y}.xml"
+        light = f'<emitter type="point"><point name="position" x="0" y="{y}" z="0"/></emitter>'
+        path.write_text(f'<scene version="3.0.0">{cube}{light}</scene>')
+        digests.add(scene_digest(mibvh.load(path)))
+    assert len(digests) == 2
 
 
 def test_the_report_says_what_came_from_the_folder(tmp_path):

@@ -11,6 +11,7 @@ from mibvh.audit.hits import check_brute_force, check_mitsuba, check_same_hits, 
 from mibvh.audit.overlap import check_epo, check_sah
 from mibvh.audit.record import Audit, Check
 from mibvh.collapsing import collapse
+from mibvh.errors import MibvhError
 from mibvh.metrics.epo import epo
 from mibvh.metrics.sah import sah
 from mibvh.rays import RaySet, diffuse_rays
@@ -21,7 +22,7 @@ from mibvh.traversal.trace import Hits, trace
 from mibvh.traversal.wide_walk import walk_wide_tree
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles
-from mibvh.variant import mitsuba_traces
+from mibvh.variant import backend, mitsuba_traces
 from mibvh.wide_tree import WideTree
 
 #: Rays that are traced in scalar lanes, and without Dr.Jit.
@@ -43,8 +44,8 @@ def audit(
     Each number is compared with another path through the code: the tree against its invariants,
     SAH against a sum over boxes, EPO against points on the surfaces, hits against brute force and
     Mitsuba, SIMD lanes against scalar ones and a simulation without Dr.Jit, counts against a
-    second launch. On a GPU the simulation is left out, and Mitsuba too where OptiX, by which it
-    intersects there, is missing.
+    second launch; of occlusion rays, also which are blocked, against their closest hits. On a GPU
+    the simulation is left out, and Mitsuba too where OptiX, by which it intersects there, is missing.
 
     Parameters
     ----------
@@ -67,7 +68,8 @@ def audit(
     Raises
     ------
     MibvhError
-        If the scene cannot be loaded, or tree or rays belong to another geometry.
+        If the scene cannot be loaded, tree or rays belong to another geometry, or the ray set is
+        empty.
     """
     report = progress or (lambda stage, done: None)
     scene = load(scene)
@@ -80,7 +82,10 @@ def audit(
     report("EPO", 0.1)
     figures = audit_figures(tree, triangles, sah(tree), epo(tree, triangles), seed)
     report("rays", 0.4)
-    rays = rays or diffuse_rays(scene, width=_WIDTH, height=_HEIGHT, samples=1, seed=seed)
+    if rays is None:
+        rays = diffuse_rays(scene, width=_WIDTH, height=_HEIGHT, samples=1, seed=seed)
+    if not len(rays):
+        raise MibvhError("an audit needs rays, and there are none in the set")
     report("hits", 0.6)
     hits = trace(tree, triangles, rays, repeats=1)
     traced = audit_hits(scene, tree, rays, hits, seed=seed)
@@ -116,24 +121,33 @@ def audit_hits(
     counted_cost : float, optional
         As it was counted before; that of a second launch by default.
     others : Hits, optional
-        Of another tree of the scene.
+        The closest hits in another tree of the scene.
     seed : int
         Of the samples.
+
+    Returns
+    -------
+    tuple of Check
+        Of occlusion rays, brute force and Mitsuba judge the closest hits; which hit ends a ray
+        depends on the order of the walk, so :func:`check_any_hit` holds those against these.
     """
     triangles = scene.triangles
+    closest = trace(tree, triangles, rays, any_hit=False, repeats=1) if rays.occlusion else hits
     names = ("c_inner", "c_tri", "c_box")
     costs = {name: tree.meta[name] for name in names if name in tree.meta}
     again = trace(tree, triangles, rays, repeats=1) if counted_cost is None else hits
     first = hits.counted_cost(**costs) if counted_cost is None else counted_cost
     checks = [
-        check_self_hits(rays, hits),
-        check_brute_force(triangles, rays, hits, seed),
-        *([check_mitsuba(scene, rays, hits, seed)] if mitsuba_traces() else []),
+        check_self_hits(rays, closest),
+        check_brute_force(triangles, rays, closest, seed),
+        *([check_mitsuba(scene, rays, closest, seed)] if mitsuba_traces() else []),
         Check.of("counts", first, again.counted_cost(**costs), 1e-9 * abs(first), "counted again"),
         check_lanes(tree, triangles, rays),
     ]
+    if rays.occlusion:
+        checks += check_any_hit(tree, triangles, rays, hits, closest)
     if others is not None:
-        checks.append(check_same_hits(triangles, rays, hits, others, "trees"))
+        checks.append(check_same_hits(triangles, rays, closest, others, "trees"))
     return tuple(checks)
 
 
@@ -153,17 +167,17 @@ def check_lanes(tree: Tree | WideTree, triangles: Triangles, rays: RaySet) -> Ch
 
 
 def check_any_hit(
-    tree: Tree, triangles: Triangles, rays: RaySet, hits: Hits, closest: Hits
+    tree: Tree | WideTree, triangles: Triangles, rays: RaySet, hits: Hits, closest: Hits
 ) -> tuple[Check, ...]:
     """Check what tracing occlusion rays to any hit gave.
 
     Parameters
     ----------
-    tree : Tree
+    tree : Tree or WideTree
     triangles : Triangles
     rays : RaySet
     hits : Hits
-        By the any-hit kernel, in the ``single`` style.
+        By the any-hit kernel, in the ``single`` style, or the ``wide`` one of a wide tree.
     closest : Hits
         The closest hits of the same rays in any tree.
 
@@ -171,7 +185,8 @@ def check_any_hit(
     -------
     tuple of Check
         A ray is blocked if it has a closest hit; and some of the rays visit what a walk without
-        Dr.Jit does, compiled by Numba, that takes the tree for a wide one of two children.
+        Dr.Jit does, compiled by Numba, that takes a binary tree for a wide one of two children.
+        On a GPU, which may contract products and sums, the walk is left out.
     """
     differ = int(np.count_nonzero((hits.triangle >= 0) != (closest.triangle >= 0)))
     blocked = Check.of(
@@ -181,8 +196,11 @@ def check_any_hit(
         0,
         f"of {len(rays):,} rays, blocked without a closest hit or vice versa",
     )
+    if backend() != "llvm":
+        return (blocked,)
     chosen = some_rays(len(rays), _LANE_RAYS)
-    walk = walk_wide_tree(collapse(tree, 2), triangles, rays.select(chosen), any_hit=True)
+    wide = tree if isinstance(tree, WideTree) else collapse(tree, 2)
+    walk = walk_wide_tree(wide, triangles, rays.select(chosen), any_hit=True)
     wrong = sum(
         int(np.count_nonzero(getattr(hits, name)[chosen] != getattr(walk, name)))
         for name in ("t", "triangle", "inner", "leaves", "tests")

@@ -15,7 +15,7 @@ from mibvh.builders.draft import Draft
 from mibvh.builders.finish import finish
 from mibvh.builders.sharing import share, spared
 from mibvh.code import code_digest
-from mibvh.errors import MibvhError, did_you_mean, file_of, users_code
+from mibvh.errors import MibvhError, did_you_mean, guard
 from mibvh.measures import Area, Measure
 from mibvh.memory import require_memory, require_references
 from mibvh.tree import Tree
@@ -170,7 +170,13 @@ class Builder:
     @property
     def asks_scene(self) -> bool:
         """Whether its trees may depend on more of a scene than the triangles."""
-        return self.traces or self.name not in {*_BUNDLED, *_LATER}
+        return self.traces or not self.bundled
+
+    @property
+    def bundled(self) -> bool:
+        """Whether it is of this package, and not a user's own of the same name."""
+        module = {**_BUNDLED, **_LATER}.get(self.name)
+        return module is not None and getattr(self.function, "__module__", None) == module
 
     def options_of(self, given: Mapping[str, Any]) -> Options:
         """Options by name.
@@ -249,9 +255,7 @@ class Builder:
 
     def guard(self, function: Callable[..., Any]) -> contextlib.AbstractContextManager[None]:
         """Whatever a user's own builder raises within becomes one sentence."""
-        if self.name in _BUNDLED or self.name in _LATER:
-            return contextlib.nullcontext()
-        return users_code(f"builder {self.name} failed: ", file_of(function))
+        return guard(f"builder {self.name}", function)
 
     def code(self) -> str | None:
         """What stands for the builder's code in the key of a kept tree; None if nothing does.
@@ -259,7 +263,7 @@ class Builder:
         The code of a builder of this package can be followed. What a user's own reads, calls or
         imports cannot: its author says by a version when its trees change.
         """
-        if self.name in _BUNDLED or self.name in _LATER:
+        if self.bundled:
             return code_digest("mibvh.builders.registry")
         return self.version
 
@@ -358,9 +362,10 @@ def builder(
     """
 
     def register(function: BuildFunction) -> BuildFunction:
-        _registered[name] = Builder(
-            name, summary, source, options, function, version, wide, traces, memory
-        )
+        new = Builder(name, summary, source, options, function, version, wide, traces, memory)
+        # A bundled builder is imported when it is asked for; a user's own of its name stays.
+        if name not in _registered or not new.bundled:
+            _registered[name] = new
         return function
 
     return register
@@ -421,7 +426,7 @@ def warm_up(name: str, progress: Callable[[str, float], None] = lambda stage, do
         return
     progress("compiling", 0.0)
     triangles, entry = next_to_nothing(), get(name)
-    if name in _BUNDLED or name in _LATER:
+    if entry.bundled:
         draft = entry.draft(triangles, entry.options(), Context())
     else:
         draft = Draft.from_nested(np.arange(len(triangles)), triangles)
@@ -517,6 +522,7 @@ def build(
         )
     meta = {**tree.meta, "build_seconds": time.perf_counter() - started + spared() - before}
     # The tests see to it that the paper's builders make sound trees.
-    if builder not in _BUNDLED and (violations := tree.validate(triangles)):
+    of_paper = builder in _BUNDLED and entry.bundled
+    if not of_paper and (violations := tree.validate(triangles)):
         raise MibvhError(f"builder {builder} made an invalid tree: {'; '.join(violations)}")
     return tree.replace(meta=meta)

@@ -218,7 +218,7 @@ def reinsertion(triangles: Triangles, options: ReinsertionOptions, context: Cont
     start = context.start(triangles, options.start, options)
     measure = context.compiled_measure(start.references.scale)
     left, right, reference, count, box = depth_first(start)
-    moves = 0
+    moves, last = 0, (options.share, options.share / 2) if options.passes else ()
     for n in range(options.passes):
         moves += _pass(measure, options.share / (2 * n + 1), left, right, box)
         context.progress("reinserting", (n + 1) / (options.passes + 2))
@@ -230,14 +230,13 @@ def reinsertion(triangles: Triangles, options: ReinsertionOptions, context: Cont
     as_leaf = options.c_tri * count * _costs(measure, box)
     closed = (left >= 0) & (count <= options.max_leaf) & (least >= as_leaf)
     open_left, open_right = np.where(closed, -1, left), np.where(closed, -1, right)
-    if options.passes:
-        for share in (options.share, options.share / 2):
-            moves += _pass(measure, share, open_left, open_right, box)
+    for share in last:
+        moves += _pass(measure, share, open_left, open_right, box)
     end = Draft(
         start.references,
         np.where(closed, left, open_left),
         np.where(closed, right, open_right),
         reference,
     )
-    report = {"start": options.start, "iterations": options.passes + 2, "moves": moves}
+    report = {"start": options.start, "iterations": options.passes + len(last), "moves": moves}
     return judged(measure, start, end, options, report)

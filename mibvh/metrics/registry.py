@@ -7,7 +7,6 @@ A :class:`Metric` computes some quantities from a tree alone. A new metric is on
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import importlib
@@ -16,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from mibvh.errors import MibvhError, file_of, users_code
+from mibvh.errors import MibvhError, guard
 from mibvh.metrics.epo import OverlapResult, overlap
 from mibvh.metrics.sah import node_costs, sah_per_node
 from mibvh.tree import Tree
@@ -130,9 +129,7 @@ class Metric:
         MibvhError
             If the returned quantities are not the declared ones.
         """
-        own = self.name in _added
-        failed = users_code(f"metric {self.name} failed: ", file_of(self.compute))
-        with failed if own else contextlib.nullcontext():
+        with guard(f"metric {self.name}", self.compute):
             found = self.compute(subject)
         # Plain numbers: records are written as JSON.
         values = {

@@ -130,12 +130,13 @@ class RayCounter:
         values["boxes_per_ray"] = float(hits.boxes.mean())
         values["counted_cost"] = hits.counted_cost(**constants)
         values["cost_deviation"] = float(costs.std())
+        closest = hits
         if self.rays.occlusion:
             if isinstance(tree, WideTree):
                 raise MibvhError("a study counts occlusion rays in binary trees alone")
-            hits = self.closest_hits(tree)
-            values["saved"] = saved_by_any_hit(tree, self.triangles, self.rays, hits)
-        paths = self.paths(hits)
+            closest = self.closest_hits(tree)
+            values["saved"] = saved_by_any_hit(tree, self.triangles, self.rays, closest)
+        paths = self.paths(closest)
         return Counts(
             values={**values, **self._ends(tree, paths), **self._lines(tree, paths)},
             cost_groups=(sums / size).tolist(),

@@ -13,6 +13,7 @@ from mibvh.audit.record import Check
 from mibvh.audit.run import check_any_hit, check_brute_force, check_mitsuba, check_self_hits
 from mibvh.errors import MibvhError
 from mibvh.rays import RaySet, make_rays
+from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import RayCounter
 from mibvh.studies.measure.looks import scene_digest
 from mibvh.studies.measure.pieces import kept
@@ -108,7 +109,13 @@ def _rays(setting: Setting, name: str) -> RaySet:
     """Make all rays of a kind."""
     options = setting.options.rays()
     options.pop("bounces")
-    key = key_of("mibvh.rays.make", scene=scene_digest(setting.scene), kind=name, **options)
+    key = key_of(
+        "mibvh.rays.make",
+        scene=scene_digest(setting.scene),
+        cameras=cameras(setting.scene),
+        kind=name,
+        **options,
+    )
     make = functools.partial(make_rays, setting.scene, name, **options)
     return setting.store.array(RaySet, key, make)
 
