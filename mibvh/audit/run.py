@@ -45,7 +45,8 @@ def audit(
     SAH against a sum over boxes, EPO against points on the surfaces, hits against brute force and
     Mitsuba, SIMD lanes against scalar ones and a simulation without Dr.Jit, counts against a
     second launch; of occlusion rays, also which are blocked, against their closest hits. On a GPU
-    the simulation is left out, and Mitsuba too where OptiX, by which it intersects there, is missing.
+    the simulation is left out, and Mitsuba too where OptiX, by which it intersects there, is
+    missing.
 
     Parameters
     ----------
