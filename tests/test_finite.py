@@ -175,6 +175,20 @@ def test_the_weight_for_unseen_viewpoints_goes_by_what_is_left_out():
     assert said == {}
 
 
+def test_foliage_is_built_without_spatial_splits():
+    """Rays cost less in `bbvh` than in `sbvh` there, and so does the tree that starts from it."""
+    plants = mibvh.load("vegetation@6000")
+    rays = mibvh.diffuse_rays(plants, width=32, height=24, seed=3)
+    cost = {
+        name: mibvh.trace(mibvh.build(plants, name), plants, rays).counted_cost()
+        for name in ("bbvh", "sbvh", "bittner")
+    }
+    tree = mibvh.build(plants, "finite")
+    assert cost["bbvh"] < cost["sbvh"]
+    assert tree.meta["report"]["start"] in ("area, bbvh", "flux, bbvh")
+    assert mibvh.trace(tree, plants, rays).counted_cost() < cost["bittner"]
+
+
 def test_finite_is_asked_for_by_name_alone():
     assert "finite" not in names()
     assert mibvh.builders.get("finite").describe()["options"]["budget"]["default"] == 1.0

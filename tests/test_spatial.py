@@ -127,6 +127,20 @@ def test_budget_bounds_the_references(budget):
     assert len(result.references) < len(draft(triangles, budget=4.0).references)
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_room_goes_to_the_triangles_that_need_it(seed):
+    """A deck of small triangles, hung on a few long ones: these take nearly all of the room."""
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.linspace(0, 1, 40), np.linspace(0, 0.1, 5), indexing="ij")
+    p = np.stack([x, y, 0 * x], -1)
+    a, b, c, d = p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]
+    deck = np.stack([np.stack([a, b, c], 2), np.stack([a, c, d], 2)]).reshape(-1, 3, 3)
+    foot = rng.random((60, 1, 3)) * [1, 0.1, 0]
+    top = [0.5, 0.05, 0.6] + 0.02 * rng.standard_normal((60, 1, 3))
+    bridge = Triangles(np.concatenate([deck, np.hstack([foot, top, foot + [0.002, 0, 0]])]))
+    assert sah(bridge, budget=1.0) < 1.02 * sah(bridge, budget=8.0)
+
+
 def test_alpha_decides_where_spatial_splits_are_tried():
     triangles = town(60)
     tried = [draft(triangles, alpha=a).report["spatial_tried"] for a in (1e-6, 1e-3, 1e-1)]

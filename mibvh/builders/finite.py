@@ -11,10 +11,12 @@ of the segments that start in it or enter it, plus a little of its area
 Stages
 ------
 1. Build the area tree (`sbvh`), and cut the rays where they hit in it.
-2. Make the tables of the measure, and build `sbvh` by it as well.
-3. Optimise both by a few batches of insertion (`bittner`), by the measure.
-4. Go on with the tree that the rays cost less in, counted: split and merge its references where
-   that lowers the measure (:mod:`mibvh.builders.resplit`), and optimise to the end.
+2. Make the tables of the measure, and build `sbvh` by it as well. Where the rays cost less in
+   `bbvh` than in `sbvh`, as in foliage, build `bbvh` by both measures, too.
+3. Optimise each by a few batches of insertion (`bittner`), by the measure.
+4. Go on with the tree that the rays cost least in, counted: split and merge its references where
+   that lowers the measure (:mod:`mibvh.builders.resplit`), and optimise to the end. Where the
+   rays do not gain by splits, optimise without.
 5. The leaf collapse goes by the same measure.
 
 What it gains, it gains by knowing where the rays of these cameras go. For cameras that are not
@@ -175,15 +177,17 @@ class _Search:
     ) -> tuple[Draft, dict[str, Any]]:
         """Find the best tree by a measure, and say how it came about."""
         context = dataclasses.replace(self.context, measure=measure)
-        flux = context.start(self.triangles, "sbvh", options)
+        starts = {"flux": context.start(self.triangles, "sbvh", options)}
         report: dict[str, Any] = {"start": "flux", "split": 0, "merged": 0}
         if options.effort == 1:
-            draft = self._moved(flux, self.insertion, context)
+            draft = self._moved(starts["flux"], self.insertion, context)
             return draft, {**report, "cost": self.cost(draft, segments)}
-        drafts = {
-            name: self._moved(start, self.roughly, context)
-            for name, start in (("flux", flux), ("area", self.start))
-        }
+        starts["area"] = self.start
+        whole = self.by_area.start(self.triangles, "bbvh", options)
+        if self.cost(whole, segments) < self.cost(self.start, segments):
+            starts["area, bbvh"] = whole
+            starts["flux, bbvh"] = context.start(self.triangles, "bbvh", options)
+        drafts = {name: self._moved(start, self.roughly, context) for name, start in starts.items()}
         costs = {name: self.cost(draft, segments) for name, draft in drafts.items()}
         chosen = min(costs, key=costs.__getitem__)
         draft, cost = drafts[chosen], costs[chosen]
@@ -192,10 +196,24 @@ class _Search:
             tried, splits, merges = self._resplit(draft, context)
             tried_cost = self.cost(tried, segments)
             if tried_cost >= cost:
-                break
+                return self._without_splits(draft, cost, segments, context, report)
             draft, cost = tried, tried_cost
             report["split"] += splits
             report["merged"] += merges
+        return draft, {**report, "cost": cost}
+
+    def _without_splits(
+        self,
+        draft: Draft,
+        cost: float,
+        segments: Segments,
+        context: Context,
+        report: dict[str, Any],
+    ) -> tuple[Draft, dict[str, Any]]:
+        tried = self._moved(draft, self.insertion, context)
+        tried_cost = self.cost(tried, segments)
+        if tried_cost < cost:
+            draft, cost = tried, tried_cost
         return draft, {**report, "cost": cost}
 
     def _moved(self, start: Draft, insertion: InsertionOptions, context: Context) -> Draft:

@@ -25,7 +25,7 @@ Stages
 
 Memory and threads: a node owns a range of the lists with room for the references that may
 still be added below it, ids for their parts, and a range of the tree's nodes. Both halves
-of a split get their share of that room: by their number of references, or all of it where
+of a split get their share of that room: by the sizes of their references, or all of it where
 only one of them can use any. So nothing is allocated while building, subtrees are
 independent, and the tree does not depend on the number of threads.
 """
@@ -34,6 +34,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,7 +46,7 @@ from mibvh.builders.measured import cost_of
 from mibvh.builders.planes import best_plane, new_bins
 from mibvh.builders.radix import argsort_keys, float_keys
 from mibvh.builders.registry import Context, Options, builder, option
-from mibvh.builders.simd import load, nothing, store, union, widen
+from mibvh.builders.simd import half_area, load, nothing, store, union, widen
 from mibvh.builders.splitting import split_reference
 from mibvh.builders.sweep import ID_ZERO, SMALL, best_split, part, sort_axes
 from mibvh.measures.boxes import of_boxes, of_corners
@@ -74,6 +75,34 @@ def _box_of(lists, first, n):
     for row in range(first, first + n):
         result = union(result, load(lists, row))
     return result
+
+
+@njit(allocates=False)
+def _need(lists, first, n):
+    """What a run of references needs for further splits, in pieces of unit size.
+
+    A box cut to pieces of a given size makes about as many as the root of its area says: a few
+    long triangles need more of them than many small ones.
+    """
+    need = 0.0
+    for row in range(first, first + n):
+        need += math.sqrt(half_area(load(lists, row)))
+    return need
+
+
+@njit(allocates=False)
+def _needs_at_plane(lists, first, n, axis, plane):
+    """The same for the references left and right of a plane; those across have a part in both."""
+    left, right = 0.0, 0.0
+    for row in range(first, first + n):
+        need = math.sqrt(half_area(load(lists, row)))
+        low, high = lists[row, axis], -lists[row, axis + 4]
+        share = 1.0 if high <= plane else 0.0
+        if low < plane < high:
+            share = np.float64(plane - low) / np.float64(high - low)
+        left += need * share
+        right += need * (1.0 - share)
+    return left, right
 
 
 @njit(allocates=False)
@@ -398,9 +427,15 @@ def _split_node(measure, corners, scale, rules, lists, side, areas, task, childr
             else:
                 plane_axis = -1
     room = slack - added
-    left_room = room * n_left // (n_left + n_right)
-    if left_may != right_may:
-        left_room = room if left_may else 0
+    left_room = room if left_may else 0
+    if room > 0 and left_may == right_may:
+        if plane_axis >= 0:
+            row = source + plane_axis * total
+            left, right = _needs_at_plane(lists, row, n, plane_axis, plane)
+        else:
+            row = source + axis * total
+            left, right = _need(lists, row, at), _need(lists, row + at, n - at)
+        left_room = np.int64(room * (left / (left + right))) if left + right > 0 else room // 2
     behind = n_left + left_room
     if plane_axis >= 0:
         _part_at_plane(
