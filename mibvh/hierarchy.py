@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from mibvh.errors import MibvhError
 from mibvh.files import Stored
-from mibvh.triangles import F32, F64, I32, Triangles
+from mibvh.triangles import F32, F64, I32, Triangles, read_only
 
 
 class Hierarchy(Stored):
@@ -28,7 +28,7 @@ class Hierarchy(Stored):
 
     def __post_init__(self) -> None:
         for name in self._ARRAYS:
-            object.__setattr__(self, name, _read_only(getattr(self, name)))
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some fields exchanged."""
@@ -150,15 +150,3 @@ class Hierarchy(Stored):
         tree = super()._restored(arrays, header)
         tree.check()
         return tree
-
-
-def _read_only(array: Any) -> npt.NDArray[Any]:
-    """The array if nobody can write to it, or else a copy."""
-    array = np.asarray(array)
-    base: Any = array
-    while isinstance(base, np.ndarray) and not base.flags.writeable:
-        base = base.base
-    if isinstance(base, np.ndarray) or not array.flags.c_contiguous:
-        array = array.copy(order="C")
-        array.flags.writeable = False
-    return array

@@ -56,8 +56,8 @@ class Triangles:
                 f"{self.name}: {int(bad.sum())} of {len(corners)} triangles have NaN, infinite or "
                 f"overlarge coordinates (first: triangle {int(bad.argmax())})"
             )
-        if corners is self.corners and corners.flags.writeable:
-            corners = corners.copy()
+        if corners is self.corners or corners.base is not None:  # else it was made just now
+            corners = read_only(corners)
         corners.flags.writeable = False
         object.__setattr__(self, "corners", corners)
 
@@ -111,6 +111,21 @@ class Triangles:
         """
         rotated = self.corners.reshape(-1, 3).astype(np.float64) @ rotation.T
         return Triangles(rotated.reshape(-1, 3, 3).astype(np.float32), f"{self.name} (rotated)")
+
+
+def read_only(array: Any) -> npt.NDArray[Any]:
+    """The array if nobody can write to it, or else a copy in C order.
+
+    Arrays that are hashed and checked once must stay as they are.
+    """
+    array = np.asarray(array)
+    base: Any = array
+    while isinstance(base, np.ndarray) and not base.flags.writeable:
+        base = base.base
+    if isinstance(base, np.ndarray) or not array.flags.c_contiguous:
+        array = array.copy(order="C")
+        array.flags.writeable = False
+    return array
 
 
 def rotation_about(axis: tuple[float, float, float], degrees: float) -> F64:

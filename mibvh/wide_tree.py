@@ -171,8 +171,8 @@ class WideTree(Hierarchy):
 
         Parameters
         ----------
-        lower, upper : (K, 3) array
-            Boxes of the nodes.
+        lower, upper : (K, 3) float
+            Boxes of the nodes; those of wider types than float32 are rounded outwards.
         children : (K, W) int array
             Node numbers of the children in any places of the row, -1 for none; all -1 for a
             leaf. W is 2 to 8; a tree's width is the next of 2, 4, 8.
@@ -193,6 +193,8 @@ class WideTree(Hierarchy):
         MibvhError
             If the arrays do not fit each other, or the nodes are no tree.
         """
+        from mibvh.layouts.arrays import box_column, int_column, triangle_ids
+
         rows = np.asarray(children)
         fits = rows.ndim == 2 and 2 <= rows.shape[1] <= max(WIDTHS) and rows.dtype.kind in "iu"
         if not fits:
@@ -201,36 +203,30 @@ class WideTree(Hierarchy):
                 f"{rows.dtype} {rows.shape}"
             )
         nodes = len(rows)
-        given = {
-            "lower": np.asarray(lower),
-            "upper": np.asarray(upper),
-            "first": np.asarray(first),
-            "count": np.asarray(count),
-        }
-        for name, array in given.items():
-            shape = (nodes, 3) if name in ("lower", "upper") else (nodes,)
-            if array.shape != shape:
-                raise MibvhError(f"{name} is {array.shape}, not {shape}")
-        ids = np.asarray(references)
+        low, high = (
+            box_column("lower", lower, nodes, -np.inf),
+            box_column("upper", upper, nodes, np.inf),
+        )
+        ids = int_column("references", references)
         if not 0 <= root < nodes:
             raise MibvhError(f"the root, {root}, is none of the {nodes} nodes")
         violation, node, order, child, number, begin, size, taken = _gather(
             rows.astype(np.int64),
-            given["first"].astype(np.int64),
-            given["count"].astype(np.int64),
+            int_column("first", first, nodes),
+            int_column("count", count, nodes),
             len(ids),
             root,
         )
         if violation:
             raise MibvhError(f"node {node} {_GATHER[violation]}")
         return cls(
-            given["lower"][order].astype(np.float32),
-            given["upper"][order].astype(np.float32),
+            low[order],
+            high[order],
             child,
             number,
             begin,
             size,
-            ids[taken].astype(np.int32),
+            triangle_ids(ids[taken]),
             width=min(w for w in WIDTHS if w >= rows.shape[1]),
             meta=dict(meta or {}),
         )

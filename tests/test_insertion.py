@@ -12,14 +12,12 @@ from mibvh.builders import Context, Draft, References
 from mibvh.builders.finish import draft_boxes, draft_sah
 from mibvh.builders.insertion import (
     InsertionOptions,
-    _area,
-    _draft_of,
     _inefficiency,
     _most,
     _Optimiser,
-    _search,
     bittner,
 )
+from mibvh.builders.rows import draft_of, measure_of, search
 from mibvh.measures import Flux, Segments
 from mibvh.measures.boxes import of_boxes
 
@@ -118,7 +116,7 @@ def test_every_batch_leaves_a_sound_tree_and_the_right_cost(kind, undo, n):
         cost = check(state, draft.references)
         if undo:
             assert state.cost <= before
-    sah = draft_sah(_draft_of(state.rows, draft.references, {}), **COSTS)
+    sah = draft_sah(draft_of(state.rows, draft.references, {}), **COSTS)
     assert np.isfinite(sah)
 
 
@@ -138,7 +136,9 @@ def test_the_place_found_is_the_best_of_all(kind):
         return x * y + (x + y) * z
 
     def cost(entry, box):
-        grown = (joint(a, box) - _area(None, rows, a >> 1, 8 * (a & 1)) for a in entries[entry])
+        grown = (
+            joint(a, box) - measure_of(None, rows, a >> 1, 8 * (a & 1)) for a in entries[entry]
+        )
         return sum(grown) + joint(entry, box)
 
     for _ in range(40):
@@ -147,16 +147,16 @@ def test_the_place_found_is_the_best_of_all(kind):
         costs = {entry: cost(entry, box) for entry in entries}
         least = min(costs.values())
         for near in rng.choice(list(entries), 3):
-            place, found = _search(
+            place, found = search(
                 None, rows, rows.view(np.int32), up, box, near, np.inf, *state.heap
             )
             assert found == pytest.approx(least, rel=1e-11)
             assert costs[place] == pytest.approx(least, rel=1e-11)
             # A limit that nothing is below, and one that only the best are.
             args = rows, rows.view(np.int32), up, box, near
-            assert _search(None, *args, least * (1 - 1e-9), *state.heap)[0] == -1
+            assert search(None, *args, least * (1 - 1e-9), *state.heap)[0] == -1
             if least > 0:
-                place, _ = _search(None, *args, least * (1 + 1e-9), *state.heap)
+                place, _ = search(None, *args, least * (1 + 1e-9), *state.heap)
                 assert costs[place] == pytest.approx(least, rel=2e-9)
 
 
@@ -168,7 +168,7 @@ def test_two_pairs_wrongly_joined_come_apart():
     draft = Draft.from_nested(((ids[0], ids[2]), (ids[1], ids[3])), data)
     state = _Optimiser(draft, InsertionOptions(batch=1.0))
     state.batch(np.array([2], np.int32), Context())
-    result = _draft_of(state.rows, draft.references, {})
+    result = draft_of(state.rows, draft.references, {})
     kids = result.reference[[result.left, result.right]][:, result.left >= 0].T
     assert sorted(tuple(sorted(pair)) for pair in kids if -1 not in pair) == [(0, 1), (2, 3)]
     # Builder units are 1/16: a root of 12 x 1 x 1, two nodes of 2 x 1 x 1.
@@ -342,6 +342,6 @@ def test_by_another_measure_rows_keep_it_and_the_search_finds_the_best_of_all():
         costs = {entry: cost(entry, box) for entry in entries}
         near = rng.choice(list(entries))
         links = rows.view(np.int32)
-        place, found = _search(measure, rows, links, up, box, near, np.inf, *state.heap)
+        place, found = search(measure, rows, links, up, box, near, np.inf, *state.heap)
         assert found == pytest.approx(min(costs.values()), rel=1e-5)
         assert costs[place] == pytest.approx(min(costs.values()), rel=1e-5)

@@ -13,7 +13,6 @@ import mibvh
 from mibvh.builders import Context, Draft, References, later_names, names
 from mibvh.builders.binned import BinnedOptions, binned
 from mibvh.builders.finish import draft_boxes
-from mibvh.builders.morton import morton_codes
 from mibvh.builders.ploc import PlocOptions, ploc
 from mibvh.builders.reinsertion import (
     _costs,
@@ -24,6 +23,7 @@ from mibvh.builders.reinsertion import (
 from mibvh.builders.rotations import depth_first
 from mibvh.errors import MibvhError
 from mibvh.metrics.sah import sah
+from mibvh.morton import morton_codes
 
 
 def half_area(low, high):

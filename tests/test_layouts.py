@@ -429,7 +429,7 @@ def test_wide_dumps_that_are_refused(tmp_path, small_soup):
         (data[:56] + b"\x09\0\0\0" + data[60:], "node 0 has 9 children, more than 4"),
         (data[:40] + b"\xff\xff\0\0" + data[44:], "node 0 has a child that is none of the nodes"),
         (data[:40] + b"\0\0\0\0" + data[44:], "node 0 is reached twice"),
-        (data[:-4] + b"\xff\xff\xff\xff", r"reference \d+ is negative"),
+        (data[:-4] + b"\xff\xff\xff\xff", "a reference is negative"),
     ):
         path.write_bytes(damaged)
         with pytest.raises(mibvh.MibvhError, match=f"dump: .*{said}"):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mibvh.builders import get
 from mibvh.builders.draft import Draft, References
-from mibvh.builders.morton import _radix_tree
+from mibvh.builders.morton import radix_tree
 from mibvh.builders.radix import argsort_keys, float_keys, sort_keys
 from mibvh.builders.registry import Context
 from mibvh.morton import morton_codes
@@ -76,7 +76,7 @@ def test_codes_by_hand():
 def test_radix_tree_equals_brute_force(codes):
     codes = sorted(codes)
     n = len(codes)
-    tree = _radix_tree(np.array(codes, np.uint64), np.arange(n, dtype=np.int32))
+    tree = radix_tree(np.array(codes, np.uint64), np.arange(n, dtype=np.int32))
     # Equal codes are told apart by their positions, as lower bits.
     keys = [code << 32 | i for i, code in enumerate(codes)]
     assert nested(*tree) == brute_tree(keys, 0, n)

@@ -8,7 +8,7 @@ from mibvh import Triangles
 from mibvh.builders import get
 from mibvh.builders.planes import best_plane, new_bins
 from mibvh.builders.registry import Context
-from mibvh.builders.spatial import _unsplit
+from mibvh.builders.spatial_split import _unsplit
 from mibvh.builders.sweep import ID_ZERO
 
 

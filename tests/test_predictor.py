@@ -75,6 +75,14 @@ def test_agreement_names_the_absurd_tree():
     assert line["kendall"] == pytest.approx(1)
 
 
+def test_no_alpha_is_fitted_to_rounding_errors():
+    """Equal values differ by their rounding; less their mean, that is all there is of them."""
+    rng = np.random.default_rng(0)
+    same = 100.0 * (1 + 1e-13 * rng.standard_normal((3, 9)))
+    assert np.isnan(fit_alpha(*same))
+    assert np.isnan(fit_alpha(rng.random(9), rng.random(9), same[0]))
+
+
 def test_fitted_combination_takes_no_negative_weight():
     rng = np.random.default_rng(0)
     a, b, c = rng.random((3, 9))

@@ -9,7 +9,8 @@ from test_builders_all import room
 
 import mibvh
 from mibvh.builders.finish import draft_boxes, finish
-from mibvh.builders.registry import Context, Options
+from mibvh.builders.options import Options
+from mibvh.builders.registry import Context
 from mibvh.builders.resplit import Resplitter, Rules, _put_back, _take_out
 from mibvh.builders.splitting import pack_boxes
 from mibvh.measures import Flux, Segments

@@ -8,9 +8,11 @@ from conftest import soup
 
 import mibvh
 from mibvh.builders import registry
+from mibvh.builders.chosen import parse
 from mibvh.studies.measure import store as store_module
 from mibvh.studies.measure.looks import scene_digest
 from mibvh.studies.measure.store import Store
+from mibvh.studies.measure.trees import TreeSource
 
 CHOICES = {"width": 24, "height": 16, "scalar_rays": 256, "seconds": 0.0}
 
@@ -99,13 +101,17 @@ def test_lights_are_in_the_key_of_shadow_rays(instanced, tmp_path):
     if instanced:
         cube = f'<shape type="shapegroup" id="g">{cube}</shape>'
         cube += '<shape type="instance"><ref id="g"/></shape>'
-    digests = set()
+    digests, trees, others = set(), set(), set()
     for y in (5, 6):
         path = tmp_path / f"at{y}.xml"
         light = f'<emitter type="point"><point name="position" x="0" y="{y}" z="0"/></emitter>'
         path.write_text(f'<scene version="3.0.0">{cube}{light}</scene>')
-        digests.add(scene_digest(mibvh.load(path)))
-    assert len(digests) == 2
+        scene = mibvh.load(path)
+        digests.add(scene_digest(scene))
+        # A tree for shadow rays goes by them, too.
+        trees.add(TreeSource.of(*parse("finite(kind=shadow)")).key(scene))
+        others.add(TreeSource.of(*parse("bbvh")).key(scene))
+    assert (len(digests), len(trees), len(others)) == (2, 2, 1)
 
 
 def test_the_report_says_what_came_from_the_folder(tmp_path):

@@ -11,8 +11,9 @@ import mibvh
 from mibvh._jit import njit
 from mibvh.builders import get, registry
 from mibvh.builders.draft import Draft
+from mibvh.builders.options import Options
 from mibvh.builders.plain import plain_sweep
-from mibvh.builders.registry import Context, Options
+from mibvh.builders.registry import Context
 from mibvh.builders.simd import (
     half_area,
     half_area_exact,

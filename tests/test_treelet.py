@@ -13,21 +13,9 @@ from mibvh.builders.finish import draft_boxes, draft_sah
 from mibvh.builders.morton import radix_draft
 from mibvh.builders.rotations import box_area, depth_first
 from mibvh.builders.splitting import presplit
-from mibvh.builders.treelet import (
-    _LANES,
-    Costs,
-    Nodes,
-    RearrangeOptions,
-    _grow,
-    _improve_all,
-    _solve,
-    nodes_above,
-    owners,
-    rearrange,
-    start_over,
-    subtree_costs,
-    without_joined,
-)
+from mibvh.builders.subtrees import Costs, Nodes, owners, subtree_costs, without_joined
+from mibvh.builders.treelet import RearrangeOptions, rearrange, start_over
+from mibvh.builders.treelet_search import _LANES, _grow, _solve, improve_all, nodes_above
 from mibvh.errors import MibvhError
 
 CONTEXT = Context()
@@ -157,7 +145,7 @@ def test_costs_boxes_and_counts_are_kept_up_to_date(max_leaf):
     for least in (7, 14, 28):
         nodes, ends = nodes_above(0, least, left, right, count)
         tree = Nodes(left, right, box, count, cost)
-        rebuilt = _improve_all(nodes, ends, 7, NONE_SPLIT, tree, costs)
+        rebuilt = improve_all(nodes, ends, 7, NONE_SPLIT, tree, costs)
         assert rebuilt > 0
         assert cost[0] < before
         before = cost[0]
@@ -266,7 +254,7 @@ def test_leaves_hold_a_triangle_once_and_that_is_what_they_cost(owner, max_leaf)
         cost = subtree_costs(left, right, box, count, *costs)
         owner_of = owners(refs.triangle, left, reference)
         root, end = np.zeros(1, np.int32), np.ones(1, np.int64)
-        _improve_all(root, end, len(owner), owner_of, Nodes(left, right, box, count, cost), costs)
+        improve_all(root, end, len(owner), owner_of, Nodes(left, right, box, count, cost), costs)
         least = cheapest_with_parts(boxes, owner, *costs[:3])
         assert cost[0] == pytest.approx(least, rel=1e-6)
         result = without_joined(refs.scale, owner_of, left, right, box)

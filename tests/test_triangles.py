@@ -35,6 +35,21 @@ def test_input_is_not_shared():
         triangles.corners[0] = 0
 
 
+class Tracked(np.ndarray):
+    """What trimesh and others have arrays of: asking NumPy for a plain one shares the memory."""
+
+
+@pytest.mark.parametrize("view", [lambda a: a.view(Tracked), lambda a: np.broadcast_to(a, a.shape)])
+def test_views_are_not_shared(view):
+    """Nor is what only this view cannot write to."""
+    given = np.random.default_rng(0).random((4, 3, 3)).astype(np.float32)
+    triangles = mibvh.Triangles(view(given))
+    before, digest = triangles.corners.copy(), triangles.digest
+    given += 1
+    np.testing.assert_array_equal(triangles.corners, before)
+    assert mibvh.Triangles(triangles.corners.copy()).digest == digest
+
+
 def test_rotation_keeps_areas_and_turns_the_axes():
     turn = mibvh.rotation_about((1, 1, 1), 120)
     np.testing.assert_allclose(turn @ [1, 0, 0], [0, 1, 0], atol=1e-12)

@@ -223,6 +223,20 @@ def test_nodes_of_other_programs_in_any_order(width):
     assert mibvh.epo(found, triangles) == pytest.approx(mibvh.epo(wide, triangles), rel=1e-12)
 
 
+def test_boxes_of_wider_types_are_rounded_outwards():
+    """As those of binary trees are: a box that is rounded to the nearest may lose its triangles."""
+    triangles, tree = tree_of("sbvh")
+    lower, upper, *arrays, root = shuffled(collapse(tree, 4), 1)
+    tight = (
+        np.nextafter(lower.astype(np.float64), -np.inf),
+        np.nextafter(upper.astype(float), np.inf),
+    )
+    found = WideTree.from_nodes(*tight, *arrays, root=root)
+    assert found.validate(triangles) == []
+    assert (found.lower[0] < lower[root]).all()
+    assert (found.upper[0] > upper[root]).all()
+
+
 def test_nodes_that_are_no_tree_are_refused():
     _, tree = tree_of()
     lower, upper, children, first, count, references, root = shuffled(collapse(tree, 4), 1)
@@ -243,7 +257,9 @@ def test_nodes_that_are_no_tree_are_refused():
 
     leaf = int(np.flatnonzero((children == -1).all(axis=1))[0])
     refused(r"children need .* not float64", children=children.astype(float))
-    refused(r"first is \(\d+, 3\), not", first=lower)
+    refused("first is float32 .*not a row of whole numbers", first=lower)
+    refused("count has 2 numbers for", count=count[:2])
+    refused("a reference is negative, or does not fit", references=references + 2**32)
     refused("the root, -3, is none of the", root=-3)
     grown = children.copy()
     grown[root, :2] = [len(children), leaf]

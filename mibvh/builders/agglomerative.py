@@ -32,8 +32,9 @@ import numpy.typing as npt
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
+from mibvh.builders.options import Options
 from mibvh.builders.radix import argsort_keys
-from mibvh.builders.registry import Context, Options, builder
+from mibvh.builders.registry import Context, builder
 from mibvh.morton import morton_codes
 from mibvh.triangles import Triangles
 

@@ -16,7 +16,8 @@ import numpy as np
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.measured import cost_of
-from mibvh.builders.registry import Context, Options, builder, option
+from mibvh.builders.options import Options, option
+from mibvh.builders.registry import Context, builder
 from mibvh.builders.simd import load, nothing, store, union, widen
 from mibvh.builders.splitting import pack_boxes
 from mibvh.triangles import Triangles

@@ -12,7 +12,8 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from mibvh.builders.registry import Options, get
+from mibvh.builders.options import Options
+from mibvh.builders.registry import get
 from mibvh.errors import MibvhError, did_you_mean
 
 #: Trees that one sweep may stand for.

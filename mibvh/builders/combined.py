@@ -10,7 +10,8 @@ import dataclasses
 
 from mibvh.builders.draft import Draft
 from mibvh.builders.insertion import InsertionOptions, bittner
-from mibvh.builders.registry import Context, builder, option
+from mibvh.builders.options import option
+from mibvh.builders.registry import Context, builder
 from mibvh.builders.treelet import TreeletOptions, treelet
 from mibvh.triangles import Triangles
 

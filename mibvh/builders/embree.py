@@ -28,7 +28,8 @@ from numba.extending import intrinsic
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
-from mibvh.builders.registry import Context, Options, builder, option
+from mibvh.builders.options import Options, option
+from mibvh.builders.registry import Context, builder
 from mibvh.builders.splitting import MAX_CORNERS, split_reference
 from mibvh.errors import MibvhError
 from mibvh.tree import MAX_DEPTH

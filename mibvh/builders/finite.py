@@ -34,7 +34,8 @@ import numpy as np
 from mibvh.builders.draft import Draft
 from mibvh.builders.finish import draft_sah, finish
 from mibvh.builders.insertion import InsertionOptions, moved, reinserted
-from mibvh.builders.registry import Context, Options, builder, option
+from mibvh.builders.options import Options, option
+from mibvh.builders.registry import Context, builder
 from mibvh.builders.resplit import Resplitter, Rules
 from mibvh.errors import MibvhError
 from mibvh.files import read_arrays

@@ -27,8 +27,8 @@ all others had their turn. Where the tree was good already, the paper's rule end
 start (in SAH, from `bbvh` on the bunny of 70 thousand triangles: 1.2% above, with undoing
 1.0% below).
 
-Nodes are kept as rows of 64 bytes with the boxes of both children, so that a step of the
-search reads one cache line. Areas are computed in float64 from float32 boxes, so that the
+The tree is kept as rows with the boxes of both children (:mod:`mibvh.builders.rows`). Areas are
+computed in float64 from float32 boxes, so that the
 gains of a million moves add up to the change of the tree's cost.
 """
 
@@ -41,10 +41,11 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh._jit import njit
-from mibvh.builders.draft import Draft, References
+from mibvh.builders.draft import Draft
 from mibvh.builders.finish import draft_boxes, draft_sah
-from mibvh.builders.registry import Context, Options, builder, option
-from mibvh.measures.boxes import of_corners
+from mibvh.builders.options import Options, option
+from mibvh.builders.registry import Context, builder
+from mibvh.builders.rows import draft_of, insert, measure_of, remove, rows_of, search
 from mibvh.triangles import F32, I32, Triangles
 
 #: Nodes handled between two reports of progress.
@@ -72,239 +73,6 @@ class InsertionOptions(Options):
     seed: int = option(0, "seed of the random selection", 0, 2**63 - 1)
 
 
-# Rows: (n, 16) float32. Row r > 0 is an inner node; half of it (8 words) describes a child:
-# lower corner, upper corner, its measure unless that is the area, and as an integer the child's
-# row, or ~reference if it is a leaf. Entry 2 * r + side names such a half. Row 0 stands above the
-# root, which is entry 0, so that the root needs no special care. ``up[r]`` is the entry of row r.
-
-
-@njit
-def _rows_of(left, right, reference, boxes, measure):
-    """Make rows of a draft, numbered parents first, left subtrees first."""
-    n = len(left) // 2 + 1
-    rows = np.zeros((n, 16), np.float32)
-    links = rows.view(np.int32)
-    up = np.full(n, -1, np.int32)
-    stack = np.empty((n + 1, 2), np.int32)
-    stack[0, 0], stack[0, 1] = 0, 0
-    top, made = 1, 1
-    while top > 0:
-        top -= 1
-        node, entry = stack[top, 0], stack[top, 1]
-        row, at = entry >> 1, (entry & 1) << 3
-        for i in range(6):
-            rows[row, at + i] = boxes[node, i]
-        _remeasure(measure, rows, row, at)
-        if left[node] < 0:
-            links[row, at + 7] = ~reference[node]
-            continue
-        links[row, at + 7] = made
-        up[made] = entry
-        stack[top, 0], stack[top, 1] = right[node], 2 * made + 1
-        stack[top + 1, 0], stack[top + 1, 1] = left[node], 2 * made
-        top += 2
-        made += 1
-    return rows, up
-
-
-def _draft_of(rows: F32, references: References, report: dict[str, Any]) -> Draft:
-    """Make a draft of rows."""
-    n = len(rows)
-    children = rows.view(np.int32)[:, [7, 15]]
-    # Inner nodes get the names 0 to n - 2 (the root 0), leaves the rest.
-    name = np.arange(-1, n - 1, dtype=np.int32)
-    root = children[0, 0]
-    if root > 0:
-        name[1], name[root] = name[root], 0
-    children = np.where(children < 0, n - 1 + ~children, name[children]).astype(np.int32)
-    left, right, reference = np.full((3, 2 * n - 1), -1, np.int32)
-    left[name[1:]], right[name[1:]] = children[1:].T
-    reference[n - 1 :] = np.arange(n)
-    return Draft(references, left, right, reference, report)
-
-
-@njit(allocates=False)
-def _area(measure, rows, row, at):
-    """Measure of an entry, float64: half its area, or what is kept beside the box."""
-    if measure is None:
-        x = np.float64(rows[row, at + 3]) - np.float64(rows[row, at])
-        y = np.float64(rows[row, at + 4]) - np.float64(rows[row, at + 1])
-        z = np.float64(rows[row, at + 5]) - np.float64(rows[row, at + 2])
-        return x * y + (x + y) * z
-    return np.float64(rows[row, at + 6])
-
-
-@njit(allocates=False)
-def _remeasure(measure, rows, row, at):
-    """Keep the measure of an entry beside its new box."""
-    if measure is not None:
-        rows[row, at + 6] = of_corners(
-            measure,
-            rows[row, at],
-            rows[row, at + 1],
-            rows[row, at + 2],
-            rows[row, at + 3],
-            rows[row, at + 4],
-            rows[row, at + 5],
-        )
-
-
-@njit(allocates=False)
-def _joint_area(measure, rows, row, at, x0, y0, z0, x1, y1, z1):
-    """Measure of the box that joins an entry to the box given, float64."""
-    if measure is None:
-        x = np.float64(max(rows[row, at + 3], x1)) - np.float64(min(rows[row, at], x0))
-        y = np.float64(max(rows[row, at + 4], y1)) - np.float64(min(rows[row, at + 1], y0))
-        z = np.float64(max(rows[row, at + 5], z1)) - np.float64(min(rows[row, at + 2], z0))
-        return x * y + (x + y) * z
-    a, b, c = rows[row, at], rows[row, at + 1], rows[row, at + 2]
-    d, e, f = rows[row, at + 3], rows[row, at + 4], rows[row, at + 5]
-    if a <= x0 and b <= y0 and c <= z0 and d >= x1 and e >= y1 and f >= z1:
-        return np.float64(rows[row, at + 6])
-    return of_corners(
-        measure, min(a, x0), min(b, y0), min(c, z0), max(d, x1), max(e, y1), max(f, z1)
-    )
-
-
-@njit(allocates=False)
-def _refit(measure, rows, up, row):
-    """Recompute the box of a row and of those above it, as far as they change.
-
-    Returns the area that the tree loses by it (negative where boxes grow).
-    """
-    saved = 0.0
-    while row != 0:
-        entry = up[row]
-        above, at = entry >> 1, (entry & 1) << 3
-        before = _area(measure, rows, above, at)
-        changed = False
-        for i in range(3):
-            low = min(rows[row, i], rows[row, i + 8])
-            high = max(rows[row, i + 3], rows[row, i + 11])
-            changed |= low != rows[above, at + i] or high != rows[above, at + i + 3]
-            rows[above, at + i], rows[above, at + i + 3] = low, high
-        if not changed:
-            break
-        _remeasure(measure, rows, above, at)
-        saved += before - _area(measure, rows, above, at)
-        row = above
-    return saved
-
-
-@njit(allocates=False)
-def _remove(measure, rows, links, up, entry):
-    """Take an entry out of the tree, and the row it is in: its sibling takes their place.
-
-    Returns the area saved above and in that row, and the entry where the sibling is now.
-    """
-    row, at = entry >> 1, (entry & 1) << 3
-    place = up[row]
-    above, at_above = place >> 1, (place & 1) << 3
-    saved = _area(measure, rows, above, at_above)
-    for i in range(8):
-        links[above, at_above + i] = links[row, 8 - at + i]
-    if links[above, at_above + 7] > 0:
-        up[links[above, at_above + 7]] = place
-    return saved + _refit(measure, rows, up, above), place
-
-
-@njit(allocates=False)
-def _insert(measure, rows, links, up, place, row, box, link):
-    """Put a subtree, by box and link, beside the one at an entry; ``row`` joins the two."""
-    above, at = place >> 1, (place & 1) << 3
-    for i in range(8):
-        links[row, i] = links[above, at + i]
-    for i in range(7):
-        rows[row, 8 + i] = box[i]
-    links[row, 15] = link
-    if links[row, 7] > 0:
-        up[links[row, 7]] = 2 * row
-    if link > 0:
-        up[link] = 2 * row + 1
-    links[above, at + 7] = row
-    up[row] = place
-    _refit(measure, rows, up, row)
-
-
-@njit(allocates=False)
-def _cost_at(measure, rows, up, place, x0, y0, z0, x1, y1, z1):
-    """Return what inserting a box at an entry costs."""
-    row, at = place >> 1, (place & 1) << 3
-    cost = _joint_area(measure, rows, row, at, x0, y0, z0, x1, y1, z1)
-    while row != 0:
-        entry = up[row]
-        row, at = entry >> 1, (entry & 1) << 3
-        grown = _joint_area(measure, rows, row, at, x0, y0, z0, x1, y1, z1)
-        cost += grown - _area(measure, rows, row, at)
-    return cost
-
-
-@njit(allocates=False)
-def _search(measure, rows, links, up, box, near, limit, keys, queue):
-    """Find where inserting a box costs least.
-
-    Parameters
-    ----------
-    box : (7,) float32
-        Lower corner, upper corner, and the measure unless that is the area.
-    near : int
-        An entry likely to be good: where the search starts to bound from.
-    limit : float
-        What the cost must be below.
-    keys, queue : (n,) float64 and int32
-        Space for a binary heap of rows by induced cost.
-
-    Returns
-    -------
-    entry, cost : int, float
-        -1 where there is no place below the limit.
-    """
-    x0, y0, z0, x1, y1, z1 = box[0], box[1], box[2], box[3], box[4], box[5]
-    area = np.float64(box[6])
-    if measure is None:
-        x, y, z = np.float64(x1) - x0, np.float64(y1) - y0, np.float64(z1) - z0
-        area = x * y + (x + y) * z
-    place, best = -1, limit
-    bound = _cost_at(measure, rows, up, near, x0, y0, z0, x1, y1, z1)
-    if bound < best:
-        # A little above, so that the search itself finds this place or a better one, and
-        # which of equal ones it finds does not depend on ``near``.
-        place, best = near, bound * (1 + 1e-12)
-    cost = _joint_area(measure, rows, 0, 0, x0, y0, z0, x1, y1, z1)
-    if cost < best:
-        place, best = 0, cost
-    keys[0], queue[0] = cost - _area(measure, rows, 0, 0), links[0, 7]
-    size = 1 if links[0, 7] > 0 else 0
-    while size > 0 and keys[0] + area < best:
-        induced, row = keys[0], queue[0]
-        size -= 1
-        key, value, i = keys[size], queue[size], 0
-        while True:
-            child = 2 * i + 1
-            if child + 1 < size and keys[child + 1] < keys[child]:
-                child += 1
-            if child >= size or keys[child] >= key:
-                break
-            keys[i], queue[i] = keys[child], queue[child]
-            i = child
-        keys[i], queue[i] = key, value
-        for side in range(2):
-            at = side << 3
-            joint = _joint_area(measure, rows, row, at, x0, y0, z0, x1, y1, z1)
-            cost = induced + joint
-            if cost < best:
-                place, best = 2 * row + side, cost
-            key, value = induced + (joint - _area(measure, rows, row, at)), links[row, at + 7]
-            if value > 0 and key + area < best:
-                i = size
-                size += 1
-                while i > 0 and keys[(i - 1) >> 1] > key:
-                    keys[i], queue[i] = keys[(i - 1) >> 1], queue[(i - 1) >> 1]
-                    i = (i - 1) >> 1
-                keys[i], queue[i] = key, value
-    return place, best
-
-
 @njit(allocates=False)
 def _move(measure, rows, links, up, node, undo, boxes, keys, queue):
     """Remove a node and its parent, reinsert its two children.
@@ -316,7 +84,7 @@ def _move(measure, rows, links, up, node, undo, boxes, keys, queue):
     saved : float
         The area the tree loses.
     """
-    larger = 0 if _area(measure, rows, node, 0) >= _area(measure, rows, node, 8) else 8
+    larger = 0 if measure_of(measure, rows, node, 0) >= measure_of(measure, rows, node, 8) else 8
     entry = up[node]
     parent = entry >> 1
     for i in range(7):
@@ -324,20 +92,20 @@ def _move(measure, rows, links, up, node, undo, boxes, keys, queue):
         boxes[1, i] = rows[node, 8 - larger + i]
         boxes[2, i] = rows[parent, ((entry & 1) << 3) + i]
     link_0, link_1 = links[node, larger + 7], links[node, 15 - larger]
-    least_1 = _area(measure, rows, node, 8 - larger)
-    own = _area(measure, rows, parent, (entry & 1) << 3)
-    saved, place = _remove(measure, rows, links, up, entry)
+    least_1 = measure_of(measure, rows, node, 8 - larger)
+    own = measure_of(measure, rows, parent, (entry & 1) << 3)
+    saved, place = remove(measure, rows, links, up, entry)
     saved += own
     limit = saved - _GAIN * own if undo else np.inf
-    to, cost_0 = _search(measure, rows, links, up, boxes[0], place, limit - least_1, keys, queue)
+    to, cost_0 = search(measure, rows, links, up, boxes[0], place, limit - least_1, keys, queue)
     if to >= 0:
-        _insert(measure, rows, links, up, to, node, boxes[0], link_0)
+        insert(measure, rows, links, up, to, node, boxes[0], link_0)
         near = 2 * node + 1
-        to, cost_1 = _search(measure, rows, links, up, boxes[1], near, limit - cost_0, keys, queue)
+        to, cost_1 = search(measure, rows, links, up, boxes[1], near, limit - cost_0, keys, queue)
         if to >= 0:
-            _insert(measure, rows, links, up, to, parent, boxes[1], link_1)
+            insert(measure, rows, links, up, to, parent, boxes[1], link_1)
             return True, saved - cost_0 - cost_1
-        _remove(measure, rows, links, up, near)
+        remove(measure, rows, links, up, near)
     for i in range(7):
         rows[node, i], rows[node, i + 8] = boxes[0, i], boxes[1, i]
     links[node, 7], links[node, 15] = link_0, link_1
@@ -345,7 +113,7 @@ def _move(measure, rows, links, up, node, undo, boxes, keys, queue):
         up[link_0] = 2 * node
     if link_1 > 0:
         up[link_1] = 2 * node + 1
-    _insert(measure, rows, links, up, place, parent, boxes[2], node)
+    insert(measure, rows, links, up, place, parent, boxes[2], node)
     return False, 0.0
 
 
@@ -381,10 +149,10 @@ def _inefficiency(measure, rows, up, tried):
     out = np.zeros(len(rows), np.float32)
     total = 0.0
     for r in range(1, len(rows)):
-        area = _area(measure, rows, up[r] >> 1, (up[r] & 1) << 3)
+        area = measure_of(measure, rows, up[r] >> 1, (up[r] & 1) << 3)
         total += area
         if up[r] > 0 and not tried[r] and area > 0:
-            a, b = _area(measure, rows, r, 0), _area(measure, rows, r, 8)
+            a, b = measure_of(measure, rows, r, 0), measure_of(measure, rows, r, 8)
             least = max(min(a, b), _LEAST * area)
             mean = max(0.5 * (a + b), _LEAST * area)
             out[r] = (area / mean) * (area / least) * area
@@ -409,7 +177,7 @@ class _Optimiser:
 
     def __init__(self, draft: Draft, options: InsertionOptions, measure: Any = None) -> None:
         boxes = draft_boxes(draft)
-        self.rows, self.up = _rows_of(draft.left, draft.right, draft.reference, boxes, measure)
+        self.rows, self.up = rows_of(draft.left, draft.right, draft.reference, boxes, measure)
         self.measure = measure
         n = len(self.rows)
         self.options = options
@@ -499,7 +267,7 @@ def moved(start: Draft, options: InsertionOptions, context: Context) -> Draft:
         "moves": state.moves,
         "reinsertions": state.reinsertions,
     }
-    return _draft_of(best_rows, start.references, report)
+    return draft_of(best_rows, start.references, report)
 
 
 def reinserted(start: Draft, options: InsertionOptions, context: Context) -> Draft:

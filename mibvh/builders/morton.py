@@ -12,14 +12,15 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
+from mibvh.builders.options import Options
 from mibvh.builders.radix import sort_keys
-from mibvh.builders.registry import Context, Options, builder
+from mibvh.builders.registry import Context, builder
 from mibvh.morton import morton_codes
 from mibvh.triangles import Triangles
 
 
 @njit
-def _radix_tree(codes, order):
+def radix_tree(codes, order):
     """Make the binary radix tree over sorted codes, in one pass.
 
     The split between neighbours i and i + 1 stands the higher, the higher the bit in which
@@ -92,7 +93,7 @@ def _below(a_high, a_low, b_high, b_low):
 def radix_draft(references: References) -> Draft:
     """Build the Morton tree over given references, split ones included."""
     codes = morton_codes(references.lower, references.upper)
-    return Draft(references, *_radix_tree(*sort_keys(codes, 63)))
+    return Draft(references, *radix_tree(*sort_keys(codes, 63)))
 
 
 @builder(

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from mibvh.builders.draft import References
-from mibvh.builders.registry import Context, Options
+from mibvh.builders.options import Options
+from mibvh.builders.registry import Context
 from mibvh.triangles import F32, Triangles
 
 

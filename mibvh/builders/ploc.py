@@ -23,11 +23,13 @@ import numpy as np
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.measured import cost_of
-from mibvh.builders.morton import _radix_tree, morton_codes
+from mibvh.builders.morton import radix_tree
+from mibvh.builders.options import Options, option
 from mibvh.builders.radix import sort_keys
-from mibvh.builders.registry import Context, Options, builder, option
+from mibvh.builders.registry import Context, builder
 from mibvh.builders.simd import load, store, union
 from mibvh.builders.splitting import pack_boxes
+from mibvh.morton import morton_codes
 from mibvh.triangles import Triangles
 
 
@@ -143,7 +145,7 @@ def ploc(triangles: Triangles, options: PlocOptions, context: Context) -> Draft:
     near = np.empty(n, np.int64)
     left, right = np.full((2, 2 * n - 1), -1, np.int32)
     if options.group:
-        tree_left, tree_right, _ = _radix_tree(codes, order)
+        tree_left, tree_right, _ = radix_tree(codes, order)
         _cluster_in_groups(
             measure,
             boxes,

@@ -5,89 +5,19 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import importlib
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-
 from mibvh.builders.draft import Draft
-from mibvh.builders.finish import finish
-from mibvh.builders.sharing import share, spared
+from mibvh.builders.options import Options
+from mibvh.builders.sharing import share
 from mibvh.code import code_digest
 from mibvh.errors import MibvhError, did_you_mean, guard
 from mibvh.measures import Area, Measure
 from mibvh.memory import require_memory, require_references
 from mibvh.tree import Tree
-from mibvh.triangles import Triangles, as_triangles
-from mibvh.version import __version__
+from mibvh.triangles import Triangles
 from mibvh.wide_tree import WideTree
-
-
-def option(default: Any, help: str, low: float | None = None, high: float | None = None) -> Any:
-    """Declare a builder option.
-
-    Parameters
-    ----------
-    default : bool, int, float or str
-        Values must be of its type.
-    help : str
-        What it does.
-    low, high : float, optional
-        Ends of the range, allowed themselves; both or none.
-
-    Returns
-    -------
-    dataclasses.Field
-    """
-    return dataclasses.field(default=default, metadata={"help": help, "low": low, "high": high})
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Options:
-    """What every builder takes. A builder's own options inherit from this.
-
-    Attributes
-    ----------
-    max_leaf : int
-        Triangles in a leaf, at most.
-    c_inner, c_tri : float
-        Cost of an inner node, and of a triangle test; the paper's constants by default (Aila,
-        Karras and Laine, HPG 2013).
-    presplit : float
-        References that splitting triangles up front may add, as a share of the triangles.
-
-    Raises
-    ------
-    MibvhError
-        If a value is of the wrong type or outside its range.
-    """
-
-    max_leaf: int = option(8, "largest number of triangles in a leaf", 1, 255)
-    c_inner: float = option(1.2, "cost of an inner node (the paper's constant)", 0.0, 1e6)
-    c_tri: float = option(1.0, "cost of a triangle test (the paper's constant)", 1e-6, 1e6)
-    presplit: float = option(
-        0.0,
-        "references that splitting triangles up front may add, per triangle (0.3); for builders "
-        "that split none themselves",
-        0.0,
-        8.0,
-    )
-
-    def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value, kind = getattr(self, field.name), type(field.default)
-            if kind is float and isinstance(value, int):
-                value = float(value)
-                object.__setattr__(self, field.name, value)
-            if type(value) is not kind:
-                raise MibvhError(
-                    f"option {field.name} must be of type {kind.__name__}, not {value!r}"
-                )
-            low, high = field.metadata.get("low"), field.metadata.get("high")
-            if low is not None and high is not None and not low <= value <= high:
-                raise MibvhError(f"option {field.name} must be from {low} to {high}, not {value}")
-
 
 _AREA = Area()
 
@@ -264,7 +194,7 @@ class Builder:
         imports cannot: its author says by a version when its trees change.
         """
         if self.bundled:
-            return code_digest("mibvh.builders.registry")
+            return code_digest("mibvh.builders.building")
         return self.version
 
     def describe(self) -> dict[str, Any]:
@@ -407,122 +337,6 @@ def get(name: str) -> Builder:
     return _registered[name]
 
 
-#: Builders that have run in this process, so that nothing of theirs is left to compile.
-_warm: set[str] = set()
-
-
-def next_to_nothing() -> Triangles:
-    """Triangles that builders run on once, so that they are compiled."""
-    corners = np.random.default_rng(0).random((24, 3, 3))
-    return Triangles(corners.astype(np.float32), "warm-up")
-
-
-def warm_up(name: str, progress: Callable[[str, float], None] = lambda stage, done: None) -> None:
-    """Run a builder of this package, or what finishes a user's draft, once on next to nothing.
-
-    So the seconds reported for a tree hold no compilation, nor the loading of compiled code.
-    """
-    if name in _warm:
-        return
-    progress("compiling", 0.0)
-    triangles, entry = next_to_nothing(), get(name)
-    if entry.bundled:
-        draft = entry.draft(triangles, entry.options(), Context())
-    else:
-        draft = Draft.from_nested(np.arange(len(triangles)), triangles)
-    finish(draft, c_inner=1.2, c_tri=1.0, max_leaf=8, meta={"triangles": len(triangles)})
-    _warm.add(name)
-
-
-def _over_parts(entry: Builder, triangles: Triangles, options: Options, context: Context) -> Draft:
-    """Run a builder over the parts that splitting triangles up front makes."""
-    from mibvh.builders.splitting import as_boxes, over_parts, presplit  # compiled code
-
-    references = presplit(triangles, options.presplit)
-    plain = dataclasses.replace(options, presplit=0.0)
-    return over_parts(entry.draft(as_boxes(references), plain, context), references, entry.name)
-
-
-def origin_of(
-    builder: str, options: Options, triangles: Triangles, report: Mapping[str, Any]
-) -> dict[str, Any]:
-    """What a tree's ``meta`` says of where it comes from."""
-    return {
-        "builder": builder,
-        "options": dataclasses.asdict(options),
-        "triangles": len(triangles),
-        "digest": triangles.digest,
-        "c_inner": options.c_inner,
-        "c_tri": options.c_tri,
-        "report": dict(report),
-        "mibvh": __version__,
-    }
-
-
-def build(
-    triangles: Any,
-    builder: str = "bbvh",
-    *,
-    progress: Callable[[str, float], None] | None = None,
-    measure: Measure | None = None,
-    **options: Any,
-) -> Tree:
-    """Build a tree.
-
-    Parameters
-    ----------
-    triangles : Triangles, Scene, (N, 3, 3) array, or a name or file that `load` takes
-        The geometry.
-    builder : str
-        A name from :func:`names`.
-    progress : callable, optional
-        Called as ``progress(stage, done)`` with ``done`` from 0 to 1.
-    measure : Measure, optional
-        What a box costs: ``Area()``, as in the papers, by default; ``Flux(segments)``, or one of
-        your own (:mod:`mibvh.measures`).
-    **options
-        The builder's options; ``max_leaf``, ``c_inner`` and ``c_tri`` are common to all.
-
-    Returns
-    -------
-    Tree
-        The same bits for the same input and options, on any number of threads.
-
-    Raises
-    ------
-    MibvhError
-        For an unknown builder or an impossible option, or where a builder of the user's own made
-        an invalid tree.
-    """
-    source, triangles = triangles, as_triangles(triangles)
-    entry = get(builder)
-    chosen = entry.options_of(options)
-    entry.check_room(triangles, chosen)
-    context = Context(progress or Context.progress, measure or _AREA, source)
-    warm_up(builder, context.progress)
-    context.progress("building", 0.0)
-    started, before = time.perf_counter(), spared()
-    draft: Draft | Tree
-    if chosen.presplit > 0:
-        draft = _over_parts(entry, triangles, chosen, context)
-    else:
-        draft = entry.run(triangles, chosen, context)
-    report = draft.meta.get("report", {}) if isinstance(draft, Tree) else draft.report
-    meta = origin_of(builder, chosen, triangles, report)
-    if isinstance(draft, Tree):
-        tree = draft.replace(meta=meta)
-    else:
-        tree = finish(
-            draft,
-            c_inner=chosen.c_inner,
-            c_tri=chosen.c_tri,
-            max_leaf=chosen.max_leaf,
-            meta=meta,
-            measure=draft.measure or context.compiled_measure(draft.references.scale),
-        )
-    meta = {**tree.meta, "build_seconds": time.perf_counter() - started + spared() - before}
-    # The tests see to it that the paper's builders make sound trees.
-    of_paper = builder in _BUNDLED and entry.bundled
-    if not of_paper and (violations := tree.validate(triangles)):
-        raise MibvhError(f"builder {builder} made an invalid tree: {'; '.join(violations)}")
-    return tree.replace(meta=meta)
+def of_paper(entry: Builder) -> bool:
+    """Whether a builder is one of the paper's, and not a user's own of the same name."""
+    return entry.bundled and entry.name in _BUNDLED

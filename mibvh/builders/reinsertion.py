@@ -29,9 +29,10 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft
-from mibvh.builders.registry import Context, Options, builder, option
-from mibvh.builders.rotations import _fit, _union_area, box_area, depth_first, judged
-from mibvh.builders.treelet import subtree_costs
+from mibvh.builders.options import Options, option
+from mibvh.builders.registry import Context, builder
+from mibvh.builders.rotations import box_area, depth_first, fit_box, judged, union_area
+from mibvh.builders.subtrees import subtree_costs
 from mibvh.measures.boxes import of_corners
 from mibvh.parallel import run_blocks
 from mibvh.triangles import Triangles
@@ -91,7 +92,7 @@ def _find(measure, node, left, right, parent, box, cost, stack, gains, rest):
             at, had = stack[top], gains[top]
             if had - cost[node] <= best:
                 continue
-            left_over = had - _union_area(measure, box, at, node)
+            left_over = had - union_area(measure, box, at, node)
             if left_over > best:
                 best, to = left_over, at
             if left[at] >= 0:
@@ -127,7 +128,7 @@ def _find_some(begin, end, nodes, places, gains, measure, left, right, parent, b
 @njit
 def _refit_up(measure, node, left, right, parent, box, cost):
     while node >= 0:
-        _fit(left, right, box, node)
+        fit_box(left, right, box, node)
         cost[node] = box_area(measure, box, node)
         node = parent[node]
 

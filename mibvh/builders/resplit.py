@@ -1,7 +1,7 @@
 """Splitting and merging references of a finished tree, where that lowers its cost.
 
 A reference is taken out of the tree, cut in two at a plane, and both parts are put where they
-cost least (the search of :mod:`mibvh.builders.insertion`); or two references of a triangle are
+cost least (the search of :mod:`mibvh.builders.rows`); or two references of a triangle are
 taken out and the box around both is put back. What is kept is what lowers::
 
     C_inner * sum of the inner nodes' measures + C_tri * sum of the references' measures
@@ -28,8 +28,9 @@ import numpy as np
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.finish import draft_boxes
-from mibvh.builders.insertion import _area, _insert, _refit, _remove, _rows_of, _search
-from mibvh.builders.registry import Context, Options
+from mibvh.builders.options import Options
+from mibvh.builders.registry import Context
+from mibvh.builders.rows import insert, measure_of, refit, remove, rows_of, search
 from mibvh.builders.splitting import MAX_CORNERS, pack_boxes, split_reference
 from mibvh.measures.boxes import of_corners
 from mibvh.triangles import I32, Triangles
@@ -57,7 +58,7 @@ def _entries(rows, used, entry_of):
 def _take_out(measure, rows, links, up, entry_of, entry):
     """Remove an entry; return what is saved, where its sibling is now, and which row is free."""
     row = entry >> 1
-    saved, place = _remove(measure, rows, links, up, entry)
+    saved, place = remove(measure, rows, links, up, entry)
     link = links[place >> 1, ((place & 1) << 3) + 7]
     if link < 0:
         entry_of[~link] = place
@@ -67,7 +68,7 @@ def _take_out(measure, rows, links, up, entry_of, entry):
 @njit
 def _put(measure, rows, links, up, entry_of, place, row, box, link):
     """Insert an entry, and note where the two leaves are, if they are leaves."""
-    _insert(measure, rows, links, up, place, row, box, link)
+    insert(measure, rows, links, up, place, row, box, link)
     for side in range(2):
         below = links[row, (side << 3) + 7]
         if below < 0:
@@ -92,7 +93,7 @@ def _put_back(measure, rows, links, up, entry_of, place, entry, box, link):
             entry_of[~below] = 2 * row + side
     links[above, at_above + 7] = row
     up[row] = place
-    _refit(measure, rows, up, row)
+    refit(measure, rows, up, row)
 
 
 @njit
@@ -149,7 +150,7 @@ class Parts(NamedTuple):
 
     boxes: Any  #: (capacity, 8) float32; new references go behind
     triangle: Any  #: (capacity,) int32: of each reference; -1 for those that are gone
-    rows: Any  #: (capacity, 16) float32: the tree, as in :mod:`mibvh.builders.insertion`
+    rows: Any  #: (capacity, 16) float32: the tree, as in :mod:`mibvh.builders.rows`
     up: Any  #: (capacity,) int32
     entry_of: Any  #: (capacity,) int32: where each reference is in the tree
     free: Any  #: (capacity,) int32: rows not in use; the first ``tally[1]`` of them
@@ -190,18 +191,18 @@ def _split_some(measure, corners, scale, parts, chosen, heap, rules):
         if entry == 0:
             continue
         _copy_box(rows, entry, whole)
-        own = _area(measure, rows, entry >> 1, (entry & 1) << 3)
+        own = measure_of(measure, rows, entry >> 1, (entry & 1) << 3)
         _to_box(measure, halves[0], first)
         _to_box(measure, halves[1], second)
         saved, place, row = _take_out(measure, rows, links, up, entry_of, entry)
         # What the two insertions may cost together.
         limit = saved + (c_tri * (own - halved) - price * own) / c_inner
         least = _measure_row(measure, halves[1])
-        to, cost = _search(measure, rows, links, up, first, place, limit - least, keys, queue)
+        to, cost = search(measure, rows, links, up, first, place, limit - least, keys, queue)
         if to >= 0:
             _put(measure, rows, links, up, entry_of, to, row, first, ~r)
             here = entry_of[r]
-            to, _ = _search(measure, rows, links, up, second, here, limit - cost, keys, queue)
+            to, _ = search(measure, rows, links, up, second, here, limit - cost, keys, queue)
             if to >= 0:
                 new, tally[0] = np.int32(tally[0]), tally[0] + 1
                 tally[1] -= 1
@@ -259,7 +260,7 @@ def _merge_some(measure, parts, order, starts, heap, rules):
                 if triangle[order[k]] >= 0:
                     both = _joint_measure(measure, boxes, a, order[k])
                     row, at = entry_of[order[k]] >> 1, (entry_of[order[k]] & 1) << 3
-                    added = both - _area(measure, rows, row, at)
+                    added = both - measure_of(measure, rows, row, at)
                     if added < least:
                         partner, least = order[k], added
             if partner < 0:
@@ -272,8 +273,8 @@ def _merge_some(measure, parts, order, starts, heap, rules):
                 joint[k + 3] = max(first[k + 3], second[k + 3])
             united = _joint_measure(measure, boxes, a, b)
             joint[6] = united
-            own_a = _area(measure, rows, entry_of[a] >> 1, (entry_of[a] & 1) << 3)
-            own_b = _area(measure, rows, entry_of[b] >> 1, (entry_of[b] & 1) << 3)
+            own_a = measure_of(measure, rows, entry_of[a] >> 1, (entry_of[a] & 1) << 3)
+            own_b = measure_of(measure, rows, entry_of[b] >> 1, (entry_of[b] & 1) << 3)
             entry_a = entry_of[a]
             saved_a, place_a, row_a = _take_out(measure, rows, links, up, entry_of, entry_a)
             entry_b = entry_of[b]
@@ -283,7 +284,7 @@ def _merge_some(measure, parts, order, starts, heap, rules):
             saved_b, place_b, row_b = _take_out(measure, rows, links, up, entry_of, entry_b)
             limit = saved_a + saved_b
             limit += (c_tri * (own_a + own_b - united) + price * min(own_a, own_b)) / c_inner
-            to, _ = _search(measure, rows, links, up, joint, place_b, limit, keys, queue)
+            to, _ = search(measure, rows, links, up, joint, place_b, limit, keys, queue)
             if to >= 0:
                 _put(measure, rows, links, up, entry_of, to, row_b, joint, ~b)
                 free[tally[1]] = row_a
@@ -364,7 +365,7 @@ class Resplitter:
         # Split references never give their number back, so there is room for later passes.
         room = n + 2 * (self.most - n) + 1024
         boxes = draft_boxes(start)
-        rows, up = _rows_of(start.left, start.right, start.reference, boxes, measure)
+        rows, up = rows_of(start.left, start.right, start.reference, boxes, measure)
         self.rows = np.zeros((room, 16), np.float32)
         self.up = np.full(room, -1, np.int32)
         self.rows[:n], self.up[:n] = rows, up

@@ -37,7 +37,8 @@ import numpy as np
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft
 from mibvh.builders.finish import draft_sah
-from mibvh.builders.registry import Context, Options, builder, option
+from mibvh.builders.options import Options, option
+from mibvh.builders.registry import Context, builder
 from mibvh.measures.boxes import of_corners
 from mibvh.triangles import F32, I32, Triangles
 
@@ -67,7 +68,7 @@ def box_area(measure, box, a):
 
 
 @njit(allocates=False)
-def _union_area(measure, box, a, b):
+def union_area(measure, box, a, b):
     """Measure of the box around two nodes."""
     if measure is not None:
         return of_corners(
@@ -86,7 +87,7 @@ def _union_area(measure, box, a, b):
 
 
 @njit(allocates=False)
-def _fit(left, right, box, node):
+def fit_box(left, right, box, node):
     """Make a node's box the one around its children."""
     a, b = left[node], right[node]
     for k in range(3):
@@ -102,16 +103,16 @@ def rotation_change(measure, left, right, box, node, kind):
         if left[b] < 0:
             return np.inf
         stays = right[b] if kind == 0 else left[b]
-        return _union_area(measure, box, a, stays) - box_area(measure, box, b)
+        return union_area(measure, box, a, stays) - box_area(measure, box, b)
     if kind < 4:
         if left[a] < 0:
             return np.inf
         stays = right[a] if kind == 2 else left[a]
-        return _union_area(measure, box, b, stays) - box_area(measure, box, a)
+        return union_area(measure, box, b, stays) - box_area(measure, box, a)
     if left[a] < 0 or left[b] < 0:
         return np.inf
     goes, stays = (right[b], left[b]) if kind == 4 else (left[b], right[b])
-    after = _union_area(measure, box, goes, right[a]) + _union_area(measure, box, left[a], stays)
+    after = union_area(measure, box, goes, right[a]) + union_area(measure, box, left[a], stays)
     return after - (box_area(measure, box, a) + box_area(measure, box, b))
 
 
@@ -132,9 +133,9 @@ def rotate(left, right, box, node, kind):
     else:
         left[a], left[b] = left[b], left[a]
     if kind < 2 or kind > 3:
-        _fit(left, right, box, b)
+        fit_box(left, right, box, b)
     if kind > 1:
-        _fit(left, right, box, a)
+        fit_box(left, right, box, a)
 
 
 @njit(allocates=False)
@@ -265,7 +266,7 @@ def _lay_out(left, right, reference, lower, upper):
                 box[node, k + 3] = upper[new_reference[node], k]
         else:
             count[node] = count[new_left[node]] + count[new_right[node]]
-            _fit(new_left, new_right, box, node)
+            fit_box(new_left, new_right, box, node)
     return new_left, new_right, new_reference, count, box
 
 

@@ -31,8 +31,9 @@ import numpy as np
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.measured import cost_of
+from mibvh.builders.options import Options
 from mibvh.builders.radix import argsort_keys, float_keys
-from mibvh.builders.registry import Context, Options, builder
+from mibvh.builders.registry import Context, builder
 from mibvh.builders.simd import load, load_corners, nothing, store, union
 from mibvh.parallel import run_blocks, run_tasks, thread_count
 from mibvh.triangles import F32, I32, Triangles

@@ -8,7 +8,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from mibvh.builders.registry import Builder, Context, build, get, next_to_nothing, origin_of
+from mibvh.builders.building import build, next_to_nothing, origin_of
+from mibvh.builders.registry import Builder, Context, get
 from mibvh.collapsing import collapse
 from mibvh.errors import MibvhError
 from mibvh.triangles import as_triangles

@@ -36,14 +36,17 @@ def renumbered(
     name: str = "imported",
 ) -> tuple[Any, ...]:
     """Return the arrays and the metadata of a tree; see :meth:`mibvh.Tree.from_arrays`."""
-    left = _integers("left", left)
+    left = int_column("left", left)
     nodes = len(left)
     if nodes == 0:
         raise MibvhError("there are no nodes")
-    right = left + 1 if right is None else _integers("right", right, nodes)
+    right = left + 1 if right is None else int_column("right", right, nodes)
     leaf, first, count = _leaves(left, first, count, nodes)
     ids = _ids(references, leaf, first, count)
-    lower, upper = _box("lower", lower, nodes, -np.inf), _box("upper", upper, nodes, np.inf)
+    lower, upper = (
+        box_column("lower", lower, nodes, -np.inf),
+        box_column("upper", upper, nodes, np.inf),
+    )
     left = np.where(leaf, -1, left)
     if not isinstance(root, int | np.integer | None):
         raise MibvhError(f"root is the number of a node, not {root!r}")
@@ -89,7 +92,7 @@ def to_arrays(tree: Nodes) -> dict[str, npt.NDArray[Any]]:
     }
 
 
-def _integers(name: str, values: Any, length: int | None = None) -> I64:
+def int_column(name: str, values: Any, length: int | None = None) -> I64:
     """One column as int64; unsigned numbers beyond the half are the negative ones of their bits."""
     array = np.asarray(values)
     if array.dtype.kind not in "iu" or array.ndim != 1:
@@ -101,7 +104,7 @@ def _integers(name: str, values: Any, length: int | None = None) -> I64:
     return array.astype(np.int64)
 
 
-def _box(name: str, values: Any, nodes: int, away: float) -> npt.NDArray[np.float32]:
+def box_column(name: str, values: Any, nodes: int, away: float) -> npt.NDArray[np.float32]:
     """Corners as float32; those of wider types are rounded outwards."""
     array = np.asarray(values)
     if array.dtype.kind != "f" or array.shape != (nodes, 3):
@@ -119,9 +122,9 @@ def _leaves(left: I64, first: Any, count: Any, nodes: int) -> tuple[Any, I64, I6
         raise MibvhError("first needs count")
     if count is None:
         return negative, ~left, np.ones(nodes, np.int64)
-    count = _integers("count", count, nodes)
+    count = int_column("count", count, nodes)
     if first is not None:
-        return negative, _integers("first", first, nodes), count
+        return negative, int_column("first", first, nodes), count
     if negative.any():
         return negative, ~left, count
     return count > 0, left, count
@@ -134,7 +137,18 @@ def _ids(references: Any, leaf: Any, first: I64, count: I64) -> npt.NDArray[np.i
         if end > count[leaf].sum():
             raise MibvhError(f"the leaves' ranges reach to {end}, beyond the references they have")
         return np.arange(end, dtype=np.int32)
-    ids = _integers("references", references)
+    return triangle_ids(references)
+
+
+def triangle_ids(references: Any) -> npt.NDArray[np.int32]:
+    """Triangle ids as int32.
+
+    Raises
+    ------
+    MibvhError
+        If they are no whole numbers, or one is negative or too large.
+    """
+    ids = int_column("references", references)
     if len(ids) and not (ids.min() >= 0 and ids.max() < 2**31):
         raise MibvhError("a reference is negative, or does not fit into 31 bits")
     return ids.astype(np.int32)

@@ -31,7 +31,7 @@ class Accessors:
 
     def has_data(self, index: int) -> bool:
         """Whether an accessor has values of its own, beside a compressed form."""
-        entry = self._entry("accessors", index)
+        entry = entry_of(self._document, "accessors", index)
         return "bufferView" in entry or "sparse" in entry
 
     def read(self, index: int, kind: str | None = None) -> F64:
@@ -42,7 +42,7 @@ class Accessors:
         Refused
             If it is of another kind, or has other values than it declares.
         """
-        entry = self._entry("accessors", index)
+        entry = entry_of(self._document, "accessors", index)
         if kind is not None and entry.get("type") != kind:
             raise Refused(f"accessor {index} is of {entry.get('type')}, not {kind}")
         raw = self._raw(entry, index)
@@ -54,14 +54,14 @@ class Accessors:
 
     def read_indices(self, index: int) -> I64:
         """(N,) int64."""
-        entry = self._entry("accessors", index)
+        entry = entry_of(self._document, "accessors", index)
         if entry.get("type") != "SCALAR" or entry.get("componentType") not in (5121, 5123, 5125):
             raise Refused(f"accessor {index} holds no indices")
         return self._raw(entry, index).astype(np.int64)
 
     def view(self, index: int) -> bytes:
         """The bytes of a buffer view."""
-        entry = self._entry("bufferViews", index)
+        entry = entry_of(self._document, "bufferViews", index)
         buffer = self._buffer(entry)
         start, size = entry.get("byteOffset", 0), entry.get("byteLength", 0)
         if start < 0 or size < 0 or start + size > len(buffer):
@@ -120,7 +120,7 @@ class Accessors:
     ) -> Any:
         data = self.view(view)
         packed = size * dtype.itemsize
-        stride = self._entry("bufferViews", view).get("byteStride", packed)
+        stride = entry_of(self._document, "bufferViews", view).get("byteStride", packed)
         if count == 0:
             return np.zeros((0, size), dtype)
         if start < 0 or stride < packed or start + stride * (count - 1) + packed > len(data):
@@ -162,11 +162,8 @@ class Accessors:
             )
         return buffer
 
-    def _entry(self, kind: str, index: Any) -> dict[str, Any]:
-        return entry(self._document, kind, index)
 
-
-def entry(document: dict[str, Any], kind: str, index: Any) -> dict[str, Any]:
+def entry_of(document: dict[str, Any], kind: str, index: Any) -> dict[str, Any]:
     """One of a document's nodes, meshes, accessors, ...
 
     Raises

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mibvh.loading.accessors import Accessors, entry
+from mibvh.loading.accessors import Accessors, entry_of
 from mibvh.loading.container import open_document
 from mibvh.loading.mesh import I64, Mesh, Refused, check_memory, corners_of
 from mibvh.triangles import F64
@@ -88,9 +88,9 @@ class _Reader:
                 self.notes.append(
                     f"it holds {len(scenes)} scenes; its default, number {chosen}, was read"
                 )
-            return list(self._entry("scenes", chosen).get("nodes", []))
+            return list(entry_of(self.document, "scenes", chosen).get("nodes", []))
         count = len(self.document.get("nodes", []))
-        nodes = [self._entry("nodes", index) for index in range(count)]
+        nodes = [entry_of(self.document, "nodes", index) for index in range(count)]
         children = {child for node in nodes for child in node.get("children", [])}
         if len(scenes) > 1:
             self.notes.append(
@@ -108,7 +108,7 @@ class _Reader:
         left_out = 0
         while waiting:
             index, above, hidden = waiting.pop()
-            node = self._entry("nodes", index)
+            node = entry_of(self.document, "nodes", index)
             if index in self.globals:
                 raise Refused(f"node {index} stands in its tree of nodes twice")
             matrix = above @ _local(node)
@@ -143,15 +143,12 @@ class _Reader:
             for i in range(counts.pop())
         ]
 
-    def _entry(self, kind: str, index: Any) -> dict[str, Any]:
-        return entry(self.document, kind, index)
-
     # -------------------------------------------------------------- meshes
 
     def _node_triangles(self, index: int) -> list[F64]:
         """(N, 3, 3) float64 of each primitive of a node's mesh, in the mesh's own space."""
-        node = self._entry("nodes", index)
-        mesh = self._entry("meshes", node["mesh"])
+        node = entry_of(self.document, "nodes", index)
+        mesh = entry_of(self.document, "meshes", node["mesh"])
         if "skin" not in node and "weights" not in node:  # else the node makes it another surface
             if node["mesh"] not in self.meshes:
                 self.meshes[node["mesh"]] = self._mesh_triangles(node, mesh)
@@ -207,9 +204,9 @@ class _Reader:
         if faces is None:
             raise Refused(f"{DRACO}: it holds points, not triangles")
         indices = np.asarray(faces, dtype=np.int64).ravel()
-        declared = self._entry("accessors", primitive["attributes"]["POSITION"])
+        declared = entry_of(self.document, "accessors", primitive["attributes"]["POSITION"])
         self.accessors.check(declared, positions, slack=0.01)
-        count = self._entry("accessors", primitive["indices"]).get("count")
+        count = entry_of(self.document, "accessors", primitive["indices"]).get("count")
         if primitive.get("mode", _TRIANGLES) == _TRIANGLES and count != len(indices):
             raise Refused(f"{DRACO}: {count} indices are declared, {len(indices)} decoded")
         return positions, indices
@@ -229,7 +226,7 @@ class _Reader:
     def _skinned(self, positions: F64, primitive: dict[str, Any], skin_index: int) -> F64:
         """Positions in the scene, where the joints stand at rest."""
         self._note_once("skins were applied as their joints stand at rest")
-        skin = self._entry("skins", skin_index)
+        skin = entry_of(self.document, "skins", skin_index)
         joints = skin["joints"]
         inverse = np.tile(np.eye(4), (len(joints), 1, 1))
         if "inverseBindMatrices" in skin:

@@ -89,6 +89,24 @@ def read(data: bytes) -> Mesh:
     return Mesh(corners_of(vertices, faces), notes + more)
 
 
+def vertex_columns(data: bytes) -> dict[str, npt.NDArray[np.generic]]:
+    """Properties of the vertices by name, (V,) each; lists are left out.
+
+    Raises
+    ------
+    Refused
+        If it holds other rows than its header declares.
+    """
+    header = parse_header(data)
+    check_counts(header, len(data))
+    columns, _ = _rows(data, header)
+    return {
+        name: column
+        for (element, name), column in columns.items()
+        if element == "vertex" and not isinstance(column, tuple)
+    }
+
+
 def check_file(path: Path) -> None:
     """Refuse what readers that believe a file crash on: lengths and indices beyond what it holds.
 

@@ -77,13 +77,14 @@ def fit_alpha(
     s, e, y, more = (np.asarray(v, np.float64) for v in (sah, epo, measured, plus))
     if len(y) < FEWEST_TREES:
         return float("nan")
-    base, step, y = (v - v.mean() for v in (s + more, e - s, y))
+    base, step, centred = (v - v.mean() for v in (s + more, e - s, y))
     # With base + alpha * step for the prediction, dr / dalpha = 0 is linear in alpha.
-    over = (step @ y) * (base @ base) - (base @ y) * (base @ step)
-    under = (base @ y) * (step @ step) - (step @ y) * (base @ step)
+    over = (step @ centred) * (base @ base) - (base @ centred) * (base @ step)
+    under = (base @ centred) * (step @ step) - (step @ centred) * (base @ step)
     ends = [0.0, 1.0]
     candidates = [over / under, *ends] if under != 0 and 0 < over / under < 1 else ends
-    r = np.array([pearson(base + alpha * step, y) for alpha in candidates])
+    # Not of what is centred: that of equal values is rounding, which would have an r.
+    r = np.array([pearson(predict(s, e, alpha) + more, y) for alpha in candidates])
     if np.isnan(r).all():
         return float("nan")
     return float(candidates[int(np.nanargmax(r))])

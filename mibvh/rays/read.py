@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh.errors import MibvhError
+from mibvh.loading.ply import vertex_columns
 from mibvh.rays.rayset import RaySet
 
 #: Arrays of an ``.npz`` that is not mibvh's, and properties of a PLY's points; the first names
@@ -77,8 +78,8 @@ def _read_npy(path: Path) -> RaySet:
 
 
 def _read_ply(path: Path) -> RaySet:
-    points = _ply_points(path)
-    others = {name: points[name] for name in _OTHERS if name in points}
+    points = vertex_columns(path.read_bytes())
+    others: dict[str, Any] = {name: points[name] for name in _OTHERS if name in points}
     o, d = _columns(points, _ORIGINS), _columns(points, _DIRECTIONS)
     return RaySet(o, d, **others, meta={"file": path.name})
 
@@ -89,55 +90,3 @@ def _columns(points: dict[str, npt.NDArray[Any]], names: Any) -> npt.NDArray[Any
             return np.stack([points[name] for name in three], axis=1)
     wanted = " nor ".join(", ".join(three) for three in names)
     raise MibvhError(f"its points have neither {wanted}")
-
-
-_TYPES = {
-    "char": "i1",
-    "int8": "i1",
-    "uchar": "u1",
-    "uint8": "u1",
-    "short": "i2",
-    "int16": "i2",
-    "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4",
-    "int32": "i4",
-    "uint": "u4",
-    "uint32": "u4",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
-}
-_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-
-
-def _ply_points(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Properties of a PLY's vertices, which must be its first element and hold no lists."""
-    whole = path.read_bytes()
-    head, ended, body = whole.partition(b"end_header")
-    lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
-    if not ended or lines[0] != ["ply"]:
-        raise MibvhError("is not a PLY file")
-    body = body[body.index(b"\n") + 1 :]
-    kind = next((line[1] for line in lines if line[:1] == ["format"]), "")
-    elements = [i for i, line in enumerate(lines) if line[:1] == ["element"]]
-    if kind not in _ORDERS or not elements or lines[elements[0]][1] != "vertex":
-        raise MibvhError("its first element must be vertices")
-    count = int(lines[elements[0]][2])
-    end = elements[1] if len(elements) > 1 else len(lines)
-    properties = [line for line in lines[elements[0] : end] if line[:1] == ["property"]]
-    names = [line[-1] for line in properties]
-    if any(line[1] == "list" or line[1] not in _TYPES for line in properties):
-        raise MibvhError("its vertices have properties that are no numbers")
-    if kind == "ascii":
-        rows = [line.split() for line in body.decode("ascii").splitlines()[:count]]
-        if len(rows) < count or any(len(row) < len(names) for row in rows):
-            raise MibvhError(f"it ends before its {count} points do")
-        table = np.array(rows, dtype=np.float64).reshape(count, -1)
-        return {name: table[:, i] for i, name in enumerate(names)}
-    layout = np.dtype([(line[-1], _ORDERS[kind] + _TYPES[line[1]]) for line in properties])
-    if len(body) < count * layout.itemsize:
-        raise MibvhError(f"it ends before its {count} points do")
-    points = np.frombuffer(body, layout, count)
-    return {name: points[name] for name in names}

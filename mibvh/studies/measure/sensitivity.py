@@ -92,7 +92,7 @@ def sensitivity_experiment(setting: Setting, report: Reporter) -> SensitivityRes
             drafts.want(frozenset().union(*waiting[i:]))
             piece = key_of(
                 __name__,
-                "mibvh.builders.registry",
+                "mibvh.builders.building",
                 builder=name,
                 tree=trees.digest(name),
                 rays=setting.rays.digest,

@@ -19,6 +19,7 @@ from mibvh.scene import Scene
 from mibvh.studies.measure.audit import Auditor, Checks
 from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import LINES, Counts, RayCounter
+from mibvh.studies.measure.looks import scene_digest
 from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.shelf import Shelf
 from mibvh.studies.measure.store import Store, key_of
@@ -77,6 +78,8 @@ class TreeSource:
             of_builder=code,
             files=self._files(),
             cameras=cameras(scene) if asks else None,
+            # Shadow rays go to the lights.
+            scene=scene_digest(scene) if asks else None,
         )
 
     def _files(self) -> dict[str, str]:
