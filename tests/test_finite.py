@@ -189,6 +189,17 @@ def test_foliage_is_built_without_spatial_splits():
     assert mibvh.trace(tree, plants, rays).counted_cost() < cost["bittner"]
 
 
+def test_scenes_of_mixed_scale_give_the_area_more_weight():
+    """Fine bubbles in a coarse room: they are finer than the tables, whose planes are few."""
+    bubbles = mibvh.load("clusters@6000")
+    rays = mibvh.diffuse_rays(bubbles, width=64, height=48, seed=3)
+
+    tree = mibvh.build(bubbles, "finite")
+    assert tree.meta["report"]["area_weight"] == pytest.approx(0.4)
+    others = (mibvh.build(bubbles, "finite", effort=1), mibvh.build(bubbles, "bittner"))
+    assert cost(tree, bubbles, rays) < 0.99 * min(cost(t, bubbles, rays) for t in others)
+
+
 def test_finite_is_asked_for_by_name_alone():
     assert "finite" not in names()
     assert mibvh.builders.get("finite").describe()["options"]["budget"]["default"] == 1.0

@@ -142,6 +142,14 @@ def test_the_whole_is_touched_by_all_and_nothing_by_none():
     assert of_boxes(None, box)[0] == whole
 
 
+def test_the_area_with_another_weight():
+    flux = Flux(segments(), planes=16, area_weight=0.1)
+    fresh = Flux(segments(), planes=16, area_weight=0.4)
+    box = np.float32([[0.2, 0.3, 0.2, 1.5, 0.6, 1.7]])
+    found = of_boxes(flux.with_weight(0.4).compiled(1.0), box)[0]
+    assert found == of_boxes(fresh.compiled(1.0), box)[0] > of_boxes(flux.compiled(1.0), box)[0]
+
+
 @pytest.mark.parametrize("ends", [0.0, 0.1])
 def test_starts_on_a_floor_are_not_in_its_flat_box(ends):
     """They are a hair above it, and what ends on it is all that touches it."""

@@ -14,6 +14,8 @@ Stages
 2. Make the tables of the measure, and build `sbvh` by it as well. Where the rays cost less in
    `bbvh` than in `sbvh`, as in foliage, build `bbvh` by both measures, too.
 3. Optimise each by a few batches of insertion (`bittner`), by the measure.
+   Where the area's start is nearly the cheapest, try it with more weight of the area, too: in
+   scenes of mixed scale there are parts that are finer than the tables.
 4. Go on with the tree that the rays cost least in, counted: split and merge its references where
    that lowers the measure (:mod:`mibvh.builders.resplit`), and optimise to the end. Where the
    rays do not gain by splits, optimise without.
@@ -47,6 +49,9 @@ from mibvh.triangles import F32, I32, Triangles
 #: What cross-validation over viewpoints chooses the weight of the area from, on how many parts.
 _WEIGHTS = (0.6, 1.2)
 _FOLDS = 4
+#: Where the area's start tree costs at most so much times the cheapest, the area is tried with so
+#: much more weight: scenes of mixed scale have parts finer than the tables.
+_NEARLY, _HEAVIER = 1.02, 4.0
 #: Rays between surfaces begin this share of the diagonal off them.
 _OFF = 1e-5
 
@@ -147,8 +152,21 @@ def training_rays(
     return surface_rays(triangles, count, options.seed), said
 
 
+@dataclasses.dataclass(frozen=True)
+class _Tried:
+    """A tree on the way: what it started from, by which measure, and what the rays cost in it."""
+
+    start: str
+    measure: Flux
+    draft: Draft
+    cost: float
+
+    def with_draft(self, draft: Draft, cost: float) -> _Tried:
+        return dataclasses.replace(self, draft=draft, cost=cost)
+
+
 class _Search:
-    """One tree for one measure, from both start trees."""
+    """One tree for one measure, from whichever start tree is best."""
 
     def __init__(self, triangles: Triangles, options: FiniteOptions, context: Context) -> None:
         self.triangles, self.options, self.context = triangles, options, context
@@ -174,59 +192,74 @@ class _Search:
         )
 
     def best(
-        self, measure: Any, segments: Segments, options: FiniteOptions
+        self, measure: Flux, segments: Segments, options: FiniteOptions
     ) -> tuple[Draft, dict[str, Any]]:
         """Find the best tree by a measure, and say how it came about."""
-        context = dataclasses.replace(self.context, measure=measure)
-        starts = {"flux": context.start(self.triangles, "sbvh", options)}
-        report: dict[str, Any] = {"start": "flux", "split": 0, "merged": 0}
+        flux = self._by(measure).start(self.triangles, "sbvh", options)
+        splits = merges = 0
         if options.effort == 1:
-            draft = self._moved(starts["flux"], self.insertion, context)
-            return draft, {**report, "cost": self.cost(draft, segments)}
-        starts["area"] = self.start
+            draft = self._moved(flux, self.insertion, measure)
+            found = _Tried("flux", measure, draft, self.cost(draft, segments))
+        else:
+            found = self._started(flux, measure, segments, options)
+        for _ in range(options.effort - 1):
+            draft, split, merged = self._resplit(found.draft, found.measure)
+            cost = self.cost(draft, segments)
+            if cost >= found.cost:
+                found = self._without_splits(found, segments)
+                break
+            found = found.with_draft(draft, cost)
+            splits, merges = splits + split, merges + merged
+        return found.draft, {
+            "start": found.start,
+            "split": splits,
+            "merged": merges,
+            "cost": found.cost,
+            "area_weight": found.measure.area_weight,
+        }
+
+    def _started(
+        self, flux: Draft, measure: Flux, segments: Segments, options: FiniteOptions
+    ) -> _Tried:
+        """Optimise each start by a few batches; return the one that the rays cost least in."""
+        starts = {"flux": flux, "area": self.start}
         whole = self.by_area.start(self.triangles, "bbvh", options)
         if self.cost(whole, segments) < self.cost(self.start, segments):
             starts["area, bbvh"] = whole
-            starts["flux, bbvh"] = context.start(self.triangles, "bbvh", options)
-        drafts = {name: self._moved(start, self.roughly, context) for name, start in starts.items()}
-        costs = {name: self.cost(draft, segments) for name, draft in drafts.items()}
-        chosen = min(costs, key=costs.__getitem__)
-        draft, cost = drafts[chosen], costs[chosen]
-        report["start"] = chosen
-        for _ in range(options.effort - 1):
-            tried, splits, merges = self._resplit(draft, context)
-            tried_cost = self.cost(tried, segments)
-            if tried_cost >= cost:
-                return self._without_splits(draft, cost, segments, context, report)
-            draft, cost = tried, tried_cost
-            report["split"] += splits
-            report["merged"] += merges
-        return draft, {**report, "cost": cost}
+            starts["flux, bbvh"] = self._by(measure).start(self.triangles, "bbvh", options)
 
-    def _without_splits(
-        self,
-        draft: Draft,
-        cost: float,
-        segments: Segments,
-        context: Context,
-        report: dict[str, Any],
-    ) -> tuple[Draft, dict[str, Any]]:
-        tried = self._moved(draft, self.insertion, context)
-        tried_cost = self.cost(tried, segments)
-        if tried_cost < cost:
-            draft, cost = tried, tried_cost
-        return draft, {**report, "cost": cost}
+        def rough(name: str, measure: Flux) -> _Tried:
+            draft = self._moved(starts[name], self.roughly, measure)
+            return _Tried(name, measure, draft, self.cost(draft, segments))
 
-    def _moved(self, start: Draft, insertion: InsertionOptions, context: Context) -> Draft:
+        tried = [rough(name, measure) for name in starts]
+        best = min(tried, key=lambda found: found.cost)
+        area = min((t for t in tried if t.start.startswith("area")), key=lambda found: found.cost)
+        if area.cost < _NEARLY * best.cost:
+            heavier = measure.with_weight(_HEAVIER * measure.area_weight)
+            best = min(best, rough(area.start, heavier), key=lambda found: found.cost)
+        return best
+
+    def _without_splits(self, found: _Tried, segments: Segments) -> _Tried:
+        draft = self._moved(found.draft, self.insertion, found.measure)
+        cost = self.cost(draft, segments)
+        return found.with_draft(draft, cost) if cost < found.cost else found
+
+    def _by(self, measure: Flux) -> Context:
+        return dataclasses.replace(self.context, measure=measure)
+
+    def _moved(self, start: Draft, insertion: InsertionOptions, measure: Flux) -> Draft:
+        context = self._by(measure)
         compiled = context.compiled_measure(start.references.scale)
         return dataclasses.replace(moved(start, insertion, context), measure=compiled)
 
-    def _resplit(self, draft: Draft, context: Context) -> tuple[Draft, int, int]:
+    def _resplit(self, draft: Draft, measure: Flux) -> tuple[Draft, int, int]:
+        context = self._by(measure)
         compiled = context.compiled_measure(self.scale)
         rules = Rules(budget=self.options.budget, trials=_TRIALS)
         state = Resplitter(self.triangles, draft, self.options, compiled, rules)
         splits, merges = state.split(context), state.merge(context)
-        return self._moved(state.draft({}), self.insertion, context), splits, merges
+        return self._moved(state.draft({}), self.insertion, measure), splits, merges
 
     def area_tree(self) -> Draft:
         """The best combination that knows no rays: `bittner` from `sbvh`, by area."""
@@ -289,8 +322,9 @@ def finite(triangles: Triangles, options: FiniteOptions, context: Context) -> Dr
     if options.unseen:
         weight, left_out = search.weight_for_unseen(segments)
     if np.isinf(weight):
-        draft, report = search.area_tree(), {"start": "area", "split": 0, "merged": 0}
-        report["cost"] = search.cost(draft, segments)
+        draft = search.area_tree()
+        report: dict[str, Any] = {"start": "area", "split": 0, "merged": 0}
+        report |= {"cost": search.cost(draft, segments), "area_weight": "area alone"}
     else:
         draft, report = search.best(Flux(segments, options.planes, weight), segments, options)
     if left_out:
@@ -300,7 +334,6 @@ def finite(triangles: Triangles, options: FiniteOptions, context: Context) -> Dr
         "rays": said,
         "ray_count": len(segments),
         "seed": options.seed,
-        "area_weight": weight if np.isfinite(weight) else "area alone",
         "references": len(draft.references),
         "start_cost": search.cost(search.start, segments),
         "sah": draft_sah(draft, **search.common),
