@@ -286,6 +286,33 @@ def fisher_interval(r: float, trees: int, confidence: float = 0.95) -> tuple[flo
     return float(np.tanh(centre - half)), float(np.tanh(centre + half))
 
 
+def rank_correlations(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> tuple[float, float]:
+    """Spearman's and Kendall's rank correlation (tau-b), from the signs of all differences.
+
+    The row sums of the signs are twice the centred ranks, equal values sharing theirs (H. E.
+    Daniels, Biometrika 1944). ``scipy.stats`` says the same, but takes a second to import and ten
+    times as long for a few trees, mostly for p-values.
+
+    Parameters
+    ----------
+    predicted, measured : (K,) array
+        Finite values.
+
+    Returns
+    -------
+    spearman, kendall : float
+        NaN where all values are equal, and for fewer than two.
+    """
+    values = (np.asarray(v, np.float64) for v in (predicted, measured))
+    x, y = (np.sign(v[:, None] - v) for v in values)
+    pairs = [int((signs != 0).sum()) // 2 for signs in (x, y)]  # that are not tied
+    if not all(pairs):
+        return float("nan"), float("nan")
+    spearman = float(np.corrcoef(x.sum(axis=1), y.sum(axis=1))[1, 0])
+    kendall = float((x * y).sum() / 2 / np.sqrt(pairs[0]) / np.sqrt(pairs[1]))
+    return spearman, min(max(kendall, -1.0), 1.0)
+
+
 def agreement(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> dict[str, Any]:
     """How well a predictor explains a measurement over the trees of a scene.
 
@@ -296,19 +323,16 @@ def agreement(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> dict[str, An
         Pearson r without the tree that changes it most, as one absurd tree raises every r), and
         ``worst_error`` (largest relative error of the least-squares line).
     """
-    from scipy import stats  # slow to import
-
     x, y = np.asarray(predicted, np.float64), np.asarray(measured, np.float64)
     result: dict[str, Any] = {"trees": len(x), "pearson": pearson(x, y)}
     for name in ("spearman", "kendall", "without_worst", "worst_error"):
         result[name] = float("nan")
     if np.isnan(result["pearson"]):
         return result
-    result["spearman"] = float(stats.spearmanr(x, y).statistic)
-    # Of the method only the p-value depends, and the exact one takes longer than all of this.
-    result["kendall"] = float(stats.kendalltau(x, y, method="asymptotic").statistic)
+    result["spearman"], result["kendall"] = rank_correlations(x, y)
     if len(x) > 3:
-        others = [pearson(np.delete(x, i), np.delete(y, i)) for i in range(len(x))]
+        kept = ~np.eye(len(x), dtype=bool)
+        others = [pearson(x[rest], y[rest]) for rest in kept]
         change = np.abs(np.nan_to_num(others, nan=result["pearson"]) - result["pearson"])
         result["without_worst"] = others[int(change.argmax())]
     (variance, covariance), _ = np.cov(x, y, bias=True)
