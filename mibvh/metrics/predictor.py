@@ -50,7 +50,7 @@ def pearson(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> float:
         return float("nan")
     x, y = _scaled(x), _scaled(y)
     # np.corrcoef takes ten times as long, and tables hold tens of thousands of r.
-    return float(min(max((x @ y) / math.sqrt((x @ x) * (y @ y)), -1.0), 1.0))
+    return min(max(float(x @ y) / math.sqrt(float(x @ x) * float(y @ y)), -1.0), 1.0)
 
 
 def _varies(values: F64) -> bool:
