@@ -80,16 +80,25 @@ def _best(records: Records) -> Iterator[str]:
     yield (f"Best tree: of {len(records)} scenes {told or 'none for sure'}{tied}, by {_COUNTED}")
     over = list(cost_over_best(records).items())[:3]
     if over:
-        told = ", ".join(f"{name} {_more(shares)}" for name, shares in over)
+        told = "; ".join(
+            f"{name} {_share(shares.mean())} (median {_share(np.median(shares))}, "
+            f"worst {_share(shares.max())})"
+            for name, shares in over
+        )
         yield f"One for all: what a builder costs over each scene's best, on average: {told}"
     yield _believed(records, sum(won.values()))
 
 
 def _more(over: F64) -> str:
     """By how much costs are over the best: the mean, and the worst if there are several."""
-    mean, most = float(over.mean()) - 1, float(over.max()) - 1
-    worst = f" (worst {most:.1%})" if len(over) > 1 else ""
-    return f"{mean:.{2 if 0 < mean < 0.001 else 1}%}{worst}"
+    worst = f" (worst {_share(over.max())})" if len(over) > 1 else ""
+    return f"{_share(over.mean())}{worst}"
+
+
+def _share(over: float) -> str:
+    """By how much a cost is over the best; what rounds to nothing has a digit more."""
+    more = float(over) - 1
+    return f"{more:.{2 if 0 < more < 0.0005 else 1}%}"
 
 
 def _believed(records: Records, sure: int) -> str:
