@@ -17,6 +17,8 @@ from pathlib import Path
 _PACKAGE = "mibvh"
 #: Libraries that compute, trace or compile: another version may give other numbers.
 _LIBRARIES = ("drjit", "mitsuba", "numba", "numpy", "scipy", "trimesh")
+#: What a module is named by in code.
+_NAMING = (ast.Import, ast.ImportFrom, ast.Constant, ast.JoinedStr)
 
 
 @functools.cache
@@ -61,14 +63,16 @@ def _module(name: str) -> tuple[str, frozenset[str]]:
     path = _path(name)
     assert path is not None, f"{name} is no module of {_PACKAGE}"
     tree = ast.parse(path.read_bytes())
+    nodes = list(ast.walk(tree))
     imported = frozenset(
         found
-        for node in ast.walk(tree)
+        for node in nodes
+        if isinstance(node, _NAMING)
         for found in (*_imported(node), *_named(node))
         # The package itself names all of its modules, and computes nothing.
         if found.startswith(f"{_PACKAGE}.") and _path(found) is not None
     )
-    _drop_docstrings(tree)
+    _drop_docstrings(nodes)
     return hashlib.sha256(ast.dump(tree).encode()).hexdigest(), imported
 
 
@@ -92,8 +96,8 @@ def _named(node: ast.AST) -> list[str]:
     return []
 
 
-def _drop_docstrings(tree: ast.Module) -> None:
-    for node in ast.walk(tree):
+def _drop_docstrings(nodes: Iterable[ast.AST]) -> None:
+    for node in nodes:
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(
             node, clean=False
         ):

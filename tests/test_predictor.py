@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 from conftest import closed_box, scene_record, soup, tree_row
+from scipy import stats
 
 import mibvh
 from mibvh.metrics.predictor import (
@@ -15,6 +16,7 @@ from mibvh.metrics.predictor import (
     path_length_ratio,
     pearson,
     predict,
+    rank_correlations,
 )
 from mibvh.metrics.predictors import predictor
 from mibvh.metrics.sah import node_costs
@@ -81,6 +83,40 @@ def test_no_alpha_is_fitted_to_rounding_errors():
     same = 100.0 * (1 + 1e-13 * rng.standard_normal((3, 9)))
     assert np.isnan(fit_alpha(*same))
     assert np.isnan(fit_alpha(rng.random(9), rng.random(9), same[0]))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_correlations_are_those_of_scipy(seed):
+    """Ranks with ties and without, values of any scale, few trees and many."""
+    random = np.random.default_rng(seed)
+    count = int(random.integers(3, 30))
+    x, y = random.normal(size=(2, count)) * 10.0 ** random.integers(-9, 9, (2, 1))
+    if seed % 2:  # ties
+        x, y = np.round(x / np.ptp(x) * 4), np.round(y / np.ptp(y) * 6)
+    spearman, kendall = rank_correlations(x, y)
+    assert spearman == pytest.approx(stats.spearmanr(x, y).statistic, abs=1e-14)
+    assert kendall == pytest.approx(stats.kendalltau(x, y).statistic, abs=1e-14)
+    assert pearson(x, y) == pytest.approx(stats.pearsonr(x, y).statistic, abs=1e-12)
+    line = stats.linregress(x, y)
+    wrong = np.abs((line.intercept + line.slope * x) / np.where(y, y, np.nan) - 1)
+    if np.isfinite(wrong).all():
+        assert agreement(x, y)["worst_error"] == pytest.approx(wrong.max(), rel=1e-9)
+
+
+def test_ranks_of_equal_values_do_not_correlate():
+    for x, y in ([1, 1, 1], [1, 2, 3]), ([1, 2, 3], [2, 2, 2]), ([1], [1]):
+        assert np.isnan(rank_correlations(x, y)).all()
+
+
+def test_intervals_over_other_groups_are_not_those_of_the_last_ones():
+    """The drawn groups are kept, by what they hold."""
+    random = np.random.default_rng(0)
+    x, noise = np.arange(9.0), random.normal(size=(9, 32))
+    near, far = (x[:, None] + scale * noise for scale in (0.1, 3.0))
+    first = bootstrap_interval(x, near)
+    assert bootstrap_interval(x, far)[0] < first[0]
+    assert bootstrap_interval(x, near) == first
+    assert bootstrap_interval(x, near, seed=1) != first
 
 
 def test_fitted_combination_takes_no_negative_weight():

@@ -16,10 +16,13 @@ from PIL import Image
 
 from mibvh.errors import MibvhError
 from mibvh.metrics.predictors import predictors
+from mibvh.plot.marks import builder_colour, builder_dash, builder_shape, label_places
 from mibvh.studies.analyse.advice import Advice, advice
+from mibvh.studies.analyse.choice import cost_of_choice
 from mibvh.studies.analyse.correlations import SCALAR
 from mibvh.studies.analyse.winners import (
     InTime,
+    Winner,
     cost_over_best,
     mean_cost_over_best,
     winner,
@@ -28,12 +31,15 @@ from mibvh.studies.analyse.winners import (
     wins_in_time,
 )
 from mibvh.studies.record.sheet import Column, Sheet
+from mibvh.studies.report import tidy
+from mibvh.studies.report.agreement import multiples, together
 from mibvh.studies.report.answer import answer
 from mibvh.studies.report.axes import Axis, Panel
 from mibvh.studies.report.drawing import Dot, Drawing, Part, Stroke, Words
-from mibvh.studies.report.plots import by_depth, winners
+from mibvh.studies.report.plots import by_depth
 from mibvh.studies.report.tables import answers
 from mibvh.studies.report.tables.prediction import NAMED, by_traversal, times_known
+from mibvh.studies.report.winners import winners
 from mibvh.studies.run import remake_report
 
 SHEET = Sheet(
@@ -271,6 +277,55 @@ def test_claims_that_none_can_judge_are_folded(small_study):
     assert claims.index("<details") < claims.index("<table")
 
 
+def test_no_two_of_many_builders_look_alike():
+    points = {(builder_colour(i), builder_shape(i)) for i in range(40)}
+    assert len(points) == 40
+    assert len({(builder_colour(i), builder_dash(i)) for i in range(27)}) == 27
+    # The first ones are those of the paper's figures, as before.
+    assert [builder_shape(i) for i in range(9)] == list("oDs^vPXpd")
+
+
+def _crowd(count: int) -> tuple[np.ndarray, list[str], np.ndarray]:
+    points = np.random.default_rng(count).normal((60, 50), 18, (count, 2)).clip(0, (200, 120))
+    return points, [f"builder_{i}" for i in range(count)], np.array([200.0, 120.0])
+
+
+@pytest.mark.parametrize("count", [3, 9, 17, 40])
+def test_labels_cover_nothing(count):
+    points, names, size = _crowd(count)
+    found = label_places(points, names, size, only_clear=True)
+    boxes = [
+        (p.centre - [2.5 * len(names[p.of]), 5], p.centre + [2.5 * len(names[p.of]), 5])
+        for p in found
+    ]
+    for i, (low, high) in enumerate(boxes):
+        assert (low >= 0).all()
+        assert (high <= size).all()
+        for other_low, other_high in boxes[:i]:
+            assert not ((low < other_high) & (other_low < high)).all()
+        for place, point in enumerate(points):
+            if place != found[i].of:
+                assert not ((low < point + 4) & (point - 4 < high)).all()
+    assert 2 <= len(found) <= count
+    assert len(label_places(points, names, size)) == count  # all, where nothing else names them
+    unnamed = label_places(points, ["", *names[1:]], size, only_clear=True)
+    assert 0 not in [p.of for p in unnamed]
+
+
+def test_the_dearest_of_a_crowd_stands_at_the_edge():
+    assert together(np.array([10.0, 12.0, 11.0, 40.0])).tolist() == [True, True, True, False]
+    assert together(np.array([10.0, 22.0, 11.0, 30.0])).all()
+    assert together(np.array([10.0, 11.0, 40.0])).all()  # three are no crowd
+    assert together(np.array([10.0, 11.0, np.nan, 40.0])).all()
+    costs = {"a": 10.0, "b": 12.0, "c": 11.0, "lbvh": 40.0}
+    trees = [tree_row(name, counted_cost=cost, sah=cost + 1) for name, cost in costs.items()]
+    sheet = multiples([scene_record(trees)], "SAH")
+    top = {mark.owner: mark.y for mark in sheet.marks if isinstance(mark, Dot) and mark.tip}
+    assert top["lbvh"] == pytest.approx(38.0)  # the upper margin
+    assert min(y for name, y in top.items() if name != "lbvh") < 70  # the others fill the panel
+    assert "lbvh: 40" in [mark.text for mark in sheet.marks if isinstance(mark, Words)]
+
+
 def test_trees_beyond_the_line_stand_apart():
     trees = [
         tree_row(name, counted_cost=cost, scalar_ns=100.0, scalar_error=0.1)
@@ -284,9 +339,41 @@ def test_trees_beyond_the_line_stand_apart():
     assert "2 beyond" in [mark.text for mark in marks if isinstance(mark, Words)]
 
 
+def test_a_lead_and_its_error_are_told_to_the_same_digit():
+    for lead, error, told in (
+        (0.042, 0.012, "4.2% ± 1.2%"),
+        (0.04167, 0.0003, "4.17% ± 0.03%"),
+        (0.04167, 0.0, "4.17% ± 0.01%"),
+        (0.04167, np.nan, "4.2%"),
+    ):
+        assert Winner("s", "a", "b", lead, error).margin == told
+
+
+def test_what_a_choice_costs():
+    """By hand: of three trees, and of two of which SAH names the dearer."""
+    scenes = [
+        scene_record([tree_row(sah=s, counted_cost=c) for s, c in trees], f"scene {i}")
+        for i, trees in enumerate([[(3, 30.0), (1, 10.0), (2, 8.0)], [(5, 7.0), (6, 9.0)]])
+    ]
+    assert cost_of_choice(scenes, "SAH") == pytest.approx([10 / 8, 1.0])
+    assert np.isnan(cost_of_choice(scenes, "finite rays")).all()
+
+
+def test_the_answer_says_what_the_advice_is_worth(small_study):
+    records, advised = small_study.scenes, advice(small_study.correlations)
+    line = next(o for o in answer(records, small_study.correlations) if o.startswith("Its choice"))
+    for name in {advised.name, "SAH"}:
+        over = cost_of_choice(records, name)
+        best = int((over == 1).sum()) or "none"
+        assert f"{name} puts first is the best in {best} of {len(records)} scenes" in line
+        most = over.max() - 1
+        assert f"(worst {most:.{2 if 0 < most < 5e-4 else 1}%})" in line
+
+
 def test_the_answer_takes_ten_lines(small_study):
     lines = answer(small_study.scenes, small_study.correlations)
     assert 3 <= len(lines) <= 10
+    assert all(": " in line for line in lines)  # what it is about, and what was found
     assert lines[0].startswith(small_study.scenes[0].scene)
     checked = next(line for line in lines if line.startswith("Checked: "))
     checks = sum(len(tree.audit) for record in small_study.scenes for tree in record.trees)
@@ -318,6 +405,17 @@ def test_the_page_answers_before_its_tables(small_study):
             assert f"<b>{one.name}</b><code>{one.formula}</code>" in before
 
 
+def test_what_many_rows_share_is_made_once(small_study, monkeypatch):
+    asked = []
+    monkeypatch.setattr(tidy, "simulated_rays", lambda count, width: asked.append(count) or [0])
+    rows = tidy.tidy_table(small_study.scenes)
+    assert len(asked) == len(small_study.scenes)
+    assert set(rows[rows["measurement"] == "warp_cost"]["rays"]) == {1}
+    record = small_study.scenes[0]
+    assert record.sample("counted_cost") is record.sample("counted_cost")  # fits to it are kept
+    assert record.sample("scalar_ns") is not record.sample("counted_cost")
+
+
 def test_the_page_stands_alone(small_study):
     page = small_study.report.read_text()
     for text in ("cornell", "hairball", "<svg", "data-tip", "data:image/png;base64,"):
@@ -332,7 +430,7 @@ def test_one_scene_is_told_without_a_worst(small_study):
     record = small_study.scenes[0]
     of = small_study.correlations[small_study.correlations["scene"] == record.scene]
     lines = answer([record], of)
-    assert any(line.startswith("Predict with ") for line in lines)
+    assert any(line.startswith("Predictor: ") for line in lines)
     assert not [line for line in lines if "worst" in line]
     claims = next(sheet for sheet in answers([record], of) if sheet.name == "claims")
     ours = "\n".join(claims.frame["ours"])

@@ -46,13 +46,24 @@ SHAPES = "oDs^vPXpd"
 DASHES = ("solid", (0, (4, 1.2)), (0, (1.2, 1)))
 #: Colour map of quantities on white: darker means more.
 SEQUENTIAL = "viridis_r"
-#: Directions in which a point's label may be placed.
+#: How far from its point, in points, and in which directions a label may be placed.
+_RADII = (5, 12, 20, 30, 42, 56)
 _DIRECTIONS = ((1, 0), (-1, 0), (0.7, 0.7), (0.7, -0.7), (-0.7, 0.7), (-0.7, -0.7), (0, 1), (0, -1))
 
 
 def builder_colour(place: int) -> str:
     """Colour of a builder, by its index."""
     return COLOURS[place % len(COLOURS)]
+
+
+def builder_shape(place: int) -> str:
+    """Shape of a builder's points, by its index: with its colour it is unique among 81."""
+    return SHAPES[(place + place // len(COLOURS)) % len(SHAPES)]
+
+
+def builder_dash(place: int) -> Any:
+    """Dashes of a builder's curves, by its index: with its colour they are unique among 27."""
+    return DASHES[(place + place // len(COLOURS)) % len(DASHES)]
 
 
 def literal(name: str) -> str:
@@ -91,7 +102,7 @@ def named_points(
         axis.plot(
             across[i : i + 1],
             up[i : i + 1],
-            SHAPES[i % len(SHAPES)],
+            builder_shape(i),
             ms=6.5,
             color=builder_colour(i),
             zorder=3,
@@ -123,27 +134,37 @@ class LabelPlace(NamedTuple):
     far: bool
 
 
-def label_places(points: F64, labels: Sequence[str], size: F64) -> list[LabelPlace]:
+def label_places(
+    points: F64, labels: Sequence[str], size: F64, *, only_clear: bool = False
+) -> list[LabelPlace]:
     """Find room for labels: near each point, clear of the others and their labels.
+
+    Lower points come first, as they are of better trees.
 
     Parameters
     ----------
     points : (K, 2) float64
         In typographic points from a corner of the axes.
     labels : sequence of str
+        A point whose label is empty only takes room.
     size : (2,) float64
         Of the axes.
+    only_clear : bool
+        Whether to leave out labels that would cover something or need a line to their point.
 
     Returns
     -------
     list of LabelPlace
-        One per point, in the order of the points.
+        In the order of the points.
     """
     marks = np.concatenate([points - 4, points + 4], axis=1)
-    offsets = np.array([(r, *d) for r in (5, 12, 20, 30, 42, 56) for d in _DIRECTIONS], np.float64)
+    radii = _RADII[:1] if only_clear else _RADII
+    offsets = np.array([(r, *d) for r in radii for d in _DIRECTIONS], np.float64)
     taken: list[F64] = []
     found: dict[int, LabelPlace] = {}
     for i in np.argsort(points[:, 1]):
+        if not labels[i]:
+            continue
         half = np.array([2.5 * len(labels[i]), 5.0])  # of the text, about
         others = np.array([*taken, *np.delete(marks, i, axis=0)]).reshape(-1, 4)
         radius, direction = offsets[:, :1], offsets[:, 1:]
@@ -152,11 +173,14 @@ def label_places(points: F64, labels: Sequence[str], size: F64) -> list[LabelPla
         outside = np.maximum(-low, 0) + np.maximum(high - size, 0)
         edges = np.minimum(high[:, None], others[:, 2:]) - np.maximum(low[:, None], others[:, :2])
         overlap = np.maximum(edges, 0).prod(axis=2).sum(axis=1)
-        best = int((10 * outside.sum(axis=1) + 3 * overlap + radius[:, 0]).argmin())
+        covers = 10 * outside.sum(axis=1) + 3 * overlap
+        best = int((covers + radius[:, 0]).argmin())
+        if only_clear and covers[best] > 0:
+            continue
         taken.append(np.concatenate([low[best], high[best]]))
         nearest = np.clip(points[i], low[best], high[best])
         found[int(i)] = LabelPlace(int(i), centres[best], nearest, bool(radius[best, 0] > 5))
-    return [found[i] for i in range(len(points))]
+    return [found[i] for i in sorted(found)]
 
 
 def _label_points(axis: Axes, labels: Sequence[str], x: F64, y: F64) -> None:
@@ -198,7 +222,7 @@ def depth_curves(
             np.asarray(values),
             lw=1.5,
             color=builder_colour(i),
-            ls=DASHES[i % len(DASHES)],
+            ls=builder_dash(i),
             label=literal(label),
             gid=gids[i] if gids else None,
         )

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from scipy import stats
 
-from mibvh.metrics.predictor import pearson
+from mibvh.metrics.predictor import pearson, rank_correlations
 from mibvh.metrics.predictors import Predictor, Sample, Weights
 from mibvh.metrics.registry import Quantity
 from mibvh.studies.analyse.left_out import predicted_from_others
@@ -93,9 +92,9 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _spearman(x: F64, y: F64) -> float:
-    if len(x) < 3 or not np.isfinite([x, y]).all() or np.ptp(x) == 0 or np.ptp(y) == 0:
+    if len(x) < 3 or not np.isfinite([x, y]).all():
         return _NONE
-    return float(stats.spearmanr(x, y).statistic)
+    return rank_correlations(x, y)[0]
 
 
 def _of_others(one: Predictor, known: list[Sample], this: int) -> Weights:

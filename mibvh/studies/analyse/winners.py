@@ -46,7 +46,9 @@ class Winner:
         """The lead with its error, in words."""
         lead = f"{self.lead:.1%}"
         if np.isfinite(self.error):
-            lead += f" ± {self.error:.1%}" if self.error >= 5e-4 else " ±<0.1%"
+            # An error below the last digit is told with one digit more.
+            digits = 1 if self.error >= 5e-4 else 2
+            lead = f"{self.lead:.{digits}%} ± {max(self.error, 1e-4):.{digits}%}"
         return lead
 
     def __str__(self) -> str:

@@ -7,6 +7,7 @@ declared in :mod:`mibvh.studies.record.quantities`; all else has a field of its 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import warnings
 from collections.abc import Sequence
 from typing import Any, ClassVar, TypeVar
@@ -237,9 +238,19 @@ class SceneRecord:
         return self.results.get(kind.experiment)
 
     def sample(self, target: str) -> Sample:
-        """Return what is known of the trees, and the quantity that is to be predicted."""
-        names = set.intersection(*(set(tree.values) for tree in self.trees))
-        return Sample({name: self.column(name) for name in names}, self.column(target))
+        """Return what is known of the trees, and the quantity that is to be predicted.
+
+        It is the same object whenever it is asked for, so that fits to it are kept.
+        """
+        if target not in self._samples:
+            names = set.intersection(*(set(tree.values) for tree in self.trees))
+            columns = {name: self.column(name) for name in names}
+            self._samples[target] = Sample(columns, self.column(target))
+        return self._samples[target]
+
+    @functools.cached_property
+    def _samples(self) -> dict[str, Sample]:
+        return {}
 
     def to_json(self) -> dict[str, Any]:
         """Return the record as JSON-able values."""

@@ -159,6 +159,11 @@ class Sheet:
 
     def rows(self) -> list[list[Cell]]:
         """The cells, row by row."""
+        return self._rows
+
+    @functools.cached_property
+    def _rows(self) -> list[list[Cell]]:
+        """The cells: made once for the page, Markdown and LaTeX."""
         least = {c: _clear_least(self.frame, c) for c in self.columns if c.smaller_is_better}
         return [
             [_cell(column, row, least.get(column)) for column in self.columns]

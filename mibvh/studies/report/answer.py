@@ -9,6 +9,7 @@ import pandas as pd
 
 from mibvh.metrics.predictors import glossary
 from mibvh.studies.analyse.advice import Advice, advice
+from mibvh.studies.analyse.choice import cost_of_choice
 from mibvh.studies.analyse.correlations import SCALAR, overview
 from mibvh.studies.analyse.winners import (
     cost_over_best,
@@ -19,11 +20,12 @@ from mibvh.studies.analyse.winners import (
 )
 from mibvh.studies.record.scene import Records, SceneRecord
 from mibvh.studies.report.tables.audit import audits, failures
-from mibvh.studies.report.tables.prediction import NAMED, times_known
+from mibvh.studies.report.tables.prediction import NAMED, time_errors
+from mibvh.triangles import F64
 
 #: Scenes that are told one by one; of more there is a sum.
 _FEW = 3
-_COUNTED = "counted cost (per ray, 1.2 for an inner node visited and 1.0 for a triangle tested)"
+_COUNTED = "counted cost (per ray: 1.2 for each inner node visited, 1.0 for each triangle tested)"
 _ALONE = "SAH is the cost of endless random lines through the scene"
 #: Why predictors say what they say.
 _WHY = {
@@ -40,7 +42,7 @@ _WHY = {
 
 
 def answer(records: Records, correlations: pd.DataFrame) -> list[str]:
-    """Return the findings in ten lines at most.
+    """Return the findings in ten lines at most, each "what it is about: what was found".
 
     Parameters
     ----------
@@ -53,19 +55,20 @@ def answer(records: Records, correlations: pd.DataFrame) -> list[str]:
         *(_each(records) if len(records) <= _FEW else _best(records)),
         *_checked(records),
         *_predicted(correlations, advised),
+        *_chosen(records, advised),
+        *_others(correlations, advised),
         *_why(correlations, advised),
     ]
 
 
 def _each(records: Records) -> Iterator[str]:
     """The best tree of each scene, by how much, and whether times say the same."""
-    for record in records:
+    for place, record in enumerate(records):
         best, timed = winner(record), winner_in_time(record, SCALAR)
-        line = f"{record.scene}: {best}, by {_COUNTED}"
+        line = f"{record.scene}: {best}, by {'counted cost' if place else _COUNTED}"
         if timed is not None and timed.second:
             line += f"; in scalar time {timed}"
-        yield line
-        yield from _given(record)
+        yield "; ".join([line, *_given(record)])
 
 
 def _best(records: Records) -> Iterator[str]:
@@ -74,30 +77,43 @@ def _best(records: Records) -> Iterator[str]:
     told = ", ".join(f"{name} in {count}" for name, count in won.items())
     open_ = len(records) - sum(won.values())
     tied = f"; in {open_} the first two are within their errors" if open_ else ""
-    yield f"Best tree by {_COUNTED}, of {len(records)} scenes: {told or 'none for sure'}{tied}"
+    yield (f"Best tree: of {len(records)} scenes {told or 'none for sure'}{tied}, by {_COUNTED}")
     over = list(cost_over_best(records).items())[:3]
     if over:
-        told = "; ".join(f"{name} {_more(shares - 1)}" for name, shares in over)
-        yield f"One builder for all scenes costs more than each scene's best, on average: {told}"
+        told = "; ".join(
+            f"{name} {_share(shares.mean())} (median {_share(np.median(shares))}, "
+            f"worst {_share(shares.max())})"
+            for name, shares in over
+        )
+        yield f"One for all: what a builder costs over each scene's best, on average: {told}"
     yield _believed(records, sum(won.values()))
 
 
-def _more(over: np.ndarray) -> str:
-    return f"{over.mean():.1%} (median {np.median(over):.1%}, worst {over.max():.1%})"
+def _more(over: F64) -> str:
+    """By how much costs are over the best: the mean, and the worst if there are several."""
+    worst = f" (worst {_share(over.max())})" if len(over) > 1 else ""
+    return f"{_share(over.mean())}{worst}"
+
+
+def _share(over: float) -> str:
+    """By how much a cost is over the best; what rounds to nothing has a digit more."""
+    more = float(over) - 1
+    return f"{more:.{2 if 0 < more < 0.0005 else 1}%}"
 
 
 def _believed(records: Records, sure: int) -> str:
     """How many leads are beyond their errors, by counts and by the stopwatch."""
     line = (
-        "Can it be believed? Counts are exact for their rays, and the winner would stay with "
-        f"other rays in {sure} of {len(records)} scenes (a lead beyond twice its error)"
+        "How sure: counts are exact for their rays, and with other rays the same tree would win "
+        f"in {sure} of {len(records)} scenes (its lead is beyond twice its error)"
     )
     timed = wins_in_time(records, SCALAR)
     if not timed.scenes:
         return line
     return (
-        f"{line}. In scalar time the same tree leads for sure in {timed.same} of {timed.scenes}, "
-        f"another in {timed.another or 'none'}; in {timed.open} the first two are within the error"
+        f"{line}. In scalar time it leads for sure in {timed.same} of {timed.scenes}, another "
+        f"tree in {timed.another or 'none'}; in {timed.open or 'none'} the first two are within "
+        "the stopwatch's error"
     )
 
 
@@ -109,7 +125,7 @@ def _given(record: SceneRecord) -> Iterator[str]:
         if np.isnan(built[i]) and i != best:
             place = f"number {1 + int((cost < cost[i]).sum())} of {len(cost)}"
             above = f"{cost[i] / cost[best] - 1:.1%} above {record.trees[best].builder}"
-            yield f"{record.scene}: {tree.builder} is {place}, {above}"
+            yield f"{tree.builder} is {place}, {above}"
 
 
 def _checked(records: Records) -> Iterator[str]:
@@ -117,28 +133,58 @@ def _checked(records: Records) -> Iterator[str]:
     checks = sum(len(of) for record in records for _, of in audits(record))
     if checks:
         line = f"{checks:,} comparisons with independent code, {len(failures(records)) or 'none'}"
-        yield f"Checked: {line} failed. {times_known(records)}".rstrip(". ")
+        times = time_errors(records)
+        known = f". Times of a scene's trees are known to {times} or better, one standard error"
+        yield f"Checked: {line} failed{known if times else ''}"
 
 
 def _predicted(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[str]:
-    """Which predictor to use, and how well the other named ones did."""
+    """Which predictor to use, and how well it did."""
     if advised is None:
         return
     table = overview(correlations)
     counted, timed = (table.loc[measured] for measured in ("counted_cost", SCALAR.ns))
     first = (
-        f"Predict with {advised.name}, which fits nothing: its r (Pearson's, predicted against "
-        f"measured over a scene's trees) is {_r(counted.loc[advised.name])} with counted cost"
+        f"Predictor: {advised.name}, nothing fitted: r (Pearson's, over a scene's trees) is "
+        f"{_r(counted.loc[advised.name])} with counted cost"
     )
     if np.isfinite(timed.loc[advised.name]["mean"]):
         first += f", {_r(timed.loc[advised.name])} with scalar time"
     if advised.equals:
         first += f"; within the noise {' and '.join(advised.equals)} did as well"
     yield first
+
+
+def _chosen(records: Records, advised: Advice | None) -> Iterator[str]:
+    """What it costs to build what the predictor says, and what SAH says."""
+    if advised is None:
+        return
+    names = dict.fromkeys((advised.name, "SAH"))
+    over = {name: cost_of_choice(records, name) for name in names}
+    if not all(np.isfinite(shares).all() for shares in over.values()):
+        return
+    told = (f"the tree that {name} puts first {_choice(of)}" for name, of in over.items())
+    yield f"Its choice: {'; '.join(told)}"
+
+
+def _choice(over: F64) -> str:
+    """How good the trees are that a predictor chooses, by their costs over the best."""
+    if len(over) == 1:
+        return f"costs {_more(over)} more than the best" if over[0] > 1 else "is the best"
+    best = int((over == 1).sum())
+    often = f"is the best in {best or 'none'} of {len(over)} scenes"
+    return f"{often}, and costs {_more(over)} more than the best on average"
+
+
+def _others(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[str]:
+    """How well the other named predictors did."""
+    if advised is None:
+        return
+    counted = overview(correlations).loc["counted_cost"]
     others = [name for name in NAMED if name in counted.index and name != advised.name]
     told = [f"{n} {_r(counted.loc[n])}" for n in others if np.isfinite(counted.loc[n]["mean"])]
     if told:
-        yield f"The others, r with counted cost: {', '.join(told)}"
+        yield f"Others: r with counted cost is {', '.join(told)}"
 
 
 def _r(row: pd.Series) -> str:
@@ -161,7 +207,7 @@ def _why(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[str]:
     if len(alpha) > 1:
         fits = f"another in each scene, {alpha.min():.2f} to {alpha.max():.2f}"
     yield (
-        "fitted and estimated are the paper's mix, (1 − α) SAH + α EPO (end-point overlap: the "
-        "cost of nodes that hold a surface point, but not its triangle), α fitted to the trees or "
-        f"taken from the rays' length; the α that fits best is {fits}"
+        "The paper's mix: (1 − α) SAH + α EPO (end-point overlap: the cost of nodes that hold a "
+        "surface point, but not its triangle), α fitted to the trees (fitted) or taken from the "
+        f"rays' length (estimated); the α that fits best is {fits}"
     )

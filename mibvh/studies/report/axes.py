@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from mibvh.plot.marks import DASHES, SHAPES, builder_colour, label_places
+from mibvh.plot.marks import builder_colour, builder_dash, builder_shape, label_places
 from mibvh.studies.report.drawing import Dot, Drawing, Part, Stroke, Words
 from mibvh.triangles import F64
 
@@ -117,12 +117,16 @@ class Panel:
 
     def _ticks_across(self) -> None:
         for value in self.x.ticks(5):
-            x = float(self.x(value))
-            grid = np.array([[x, self._y0], [x, self._y1]])
-            self.sheet.add(
-                Stroke(points=grid, colour=_GREY, width=0.5, opacity=0.25),
-                Words(x=x, y=self._y0 + 9, text=_number(value), size=_TICK, anchor="middle"),
-            )
+            self.mark_across(value, _number(value))
+
+    def mark_across(self, value: float, text: str) -> None:
+        """Mark a value of the horizontal axis."""
+        x = float(self.x(value))
+        grid = np.array([[x, self._y0], [x, self._y1]])
+        self.sheet.add(
+            Stroke(points=grid, colour=_GREY, width=0.5, opacity=0.25),
+            Words(x=x, y=self._y0 + 9, text=text, size=_TICK, anchor="middle"),
+        )
 
     def _ticks_up(self) -> None:
         for value in self.y.ticks(5):
@@ -176,7 +180,7 @@ class Panel:
         """
         for px, py, owner, tip, i in zip(self.x(x), self.y(y), owners, tips, places, strict=True):
             if np.isfinite(px + py):
-                shape = SHAPES[i % len(SHAPES)] if shapes else "o"
+                shape = builder_shape(i) if shapes else "o"
                 self.sheet.add(
                     Dot(
                         x=float(px),
@@ -197,22 +201,32 @@ class Panel:
                 dot = Dot(x=float(px), y=float(py), size=4.5, hollow=True, colour=_GREY)
                 self.sheet.add(dot)
 
-    def names(self, x: npt.ArrayLike, y: npt.ArrayLike, names: Sequence[str]) -> None:
-        """Write names beside points, where there is room."""
-        points = np.stack([self.x(x), self.y(y)], axis=1) - [self._x0, self._y1]
+    def names(
+        self, x: npt.ArrayLike, y: npt.ArrayLike, names: Sequence[str], beside: npt.ArrayLike = ()
+    ) -> None:
+        """Write names beside points, those of low ones first, and only where there is room.
+
+        Parameters
+        ----------
+        x, y : (K,) array
+        names : sequence of str
+            Empty where a point needs none.
+        beside : (M, 2) array, optional
+            Other points that are not to be covered, such as those of a line.
+        """
+        corner, upwards = [self._x0, self._y0], [1, -1]
+        every = np.concatenate([np.stack([x, y], axis=1), np.reshape(beside, (-1, 2))])
+        points = (np.stack([self.x(every[:, 0]), self.y(every[:, 1])], axis=1) - corner) * upwards
         size = np.array([self._x1 - self._x0, self._y0 - self._y1])
-        for place, name in zip(label_places(points, names, size), names, strict=True):
-            at = place.centre + [self._x0, self._y1]
-            if place.far:
-                tail = np.stack([place.nearest, points[place.of]]) + [self._x0, self._y1]
-                self.sheet.add(Stroke(points=tail, colour=_GREY, width=0.6))
-            self.sheet.add(Words(x=at[0], y=at[1], text=name, size=8, anchor="middle"))
+        labels = [*names, *[""] * (len(every) - len(names))]
+        for place in label_places(points, labels, size, only_clear=True):
+            at = place.centre * upwards + corner
+            self.sheet.add(Words(x=at[0], y=at[1], text=names[place.of], size=8, anchor="middle"))
 
     def curve(self, x: npt.ArrayLike, y: npt.ArrayLike, owner: str, tip: str, i: int) -> None:
         """Draw the curve of a builder, of its colour and dashes."""
         known = np.isfinite(np.asarray(y, np.float64))
         points = np.stack([self.x(np.asarray(x)[known]), self.y(np.asarray(y)[known])], axis=1)
-        dash = DASHES[i % len(DASHES)]
         self.sheet.add(
             Stroke(
                 points=points,
@@ -220,9 +234,15 @@ class Panel:
                 width=1.5,
                 owner=owner,
                 tip=tip,
-                dash=() if isinstance(dash, str) else tuple(1.5 * d for d in dash[1]),
+                dash=dashes(i),
             )
         )
+
+
+def dashes(place: int) -> tuple[float, ...]:
+    """Return the lengths of a builder's dashes, in points; none for a line without gaps."""
+    dash = builder_dash(place)
+    return () if isinstance(dash, str) else tuple(1.5 * d for d in dash[1])
 
 
 def _number(value: float) -> str:

@@ -118,10 +118,11 @@ class Drawing:
         x, y, width, height, title = part or Part(0, 0, self.width, self.height)
         marks = self.marks if part is None else [m for m in self.marks if _inside(m, part)]
         body = "".join(_svg(mark) for mark in marks)
-        named = f' role="group" aria-label="{escape(title)}"' if title else ""
+        if title:
+            body = f'<g role="group" aria-label="{escape(title)}">{body}</g>'
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{x:g} {y:g} {width:g} {height:g}" '
-            f'font-family="{_FONT}" fill="none"{named}>{body}</svg>'
+            f'font-family="{_FONT}" fill="none">{body}</svg>'
         )
 
     def file(self) -> str:
@@ -148,6 +149,12 @@ class Drawing:
             figure.savefig(temporary, format=kind, **options)
 
 
+def icon(shape: str, colour: str) -> str:
+    """Return a small SVG of a point, to stand in a line of text."""
+    dot = "".join(_shape(Dot(x=6, y=6, shape=shape, size=9, colour=colour)))
+    return f'<svg class="icon" viewBox="0 0 12 12" aria-hidden="true">{dot}</svg>'
+
+
 def _inside(mark: Any, part: Part) -> bool:
     x, y = mark.points.mean(axis=0) if isinstance(mark, Stroke) else (mark.x, mark.y)
     return bool(part.x <= x <= part.x + part.width and part.y <= y <= part.y + part.height)
@@ -169,7 +176,7 @@ def _shape(mark: Any) -> Iterator[str]:
     faint = f' opacity="{mark.opacity:g}"' if mark.opacity < 1 else ""
     if isinstance(mark, Words):
         turn = f' transform="rotate({mark.turn:g} {mark.x:.1f} {mark.y:.1f})"' if mark.turn else ""
-        strong = ' font-weight="650"' if mark.strong else ""
+        strong = ' font-weight="600"' if mark.strong else ""
         yield (
             f'<text x="{mark.x:.1f}" y="{mark.y + _BASELINE * mark.size:.1f}" '
             f'font-size="{mark.size:g}" text-anchor="{mark.anchor}" fill="{mark.colour}"'

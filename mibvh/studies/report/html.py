@@ -20,7 +20,7 @@ from mibvh.builders import all_names, get
 from mibvh.builders.chosen import builder_of
 from mibvh.files import file_name, make_folder, write_text
 from mibvh.metrics.predictors import predictors
-from mibvh.plot.marks import builder_colour
+from mibvh.plot.marks import builder_colour, builder_shape
 from mibvh.studies.analyse.advice import advice
 from mibvh.studies.analyse.correlations import LANES, overview, worst_error
 from mibvh.studies.analyse.rotation import rotation_factors
@@ -33,13 +33,17 @@ from mibvh.studies.record.scene import Records, SceneRecord
 from mibvh.studies.record.serialise import to_json
 from mibvh.studies.record.sheet import Sheet
 from mibvh.studies.report import plots
+from mibvh.studies.report.agreement import multiples, predicted_measured
 from mibvh.studies.report.answer import answer
-from mibvh.studies.report.drawing import Drawing
+from mibvh.studies.report.drawing import Drawing, icon
+from mibvh.studies.report.layout import places_of
+from mibvh.studies.report.summary import summary
 from mibvh.studies.report.tables.audit import failures
 from mibvh.studies.report.tables.builders import SECTION as DEPTH
 from mibvh.studies.report.tables.claims import SECTION as CLAIMS
 from mibvh.studies.report.tables.prediction import NAMED, by_traversal
 from mibvh.studies.report.tables.rotation import SECTION as ROTATION
+from mibvh.studies.report.winners import winners
 
 #: What is said below the figures of a scene that are of its trees.
 _CAPTIONS = {
@@ -129,25 +133,23 @@ def write_report(
         left_out=left_out,
         doubted=len(failures(records)),
         answer=answer(records, correlations),
-        winners=draw("winners", plots.winners(records)),
-        multiples=draw("multiples", plots.multiples(records, main)),
+        winners=draw("winners", winners(records)),
+        multiples=draw("multiples", multiples(records, main)),
         main=main,
         named=_predictors(correlations, named=True),
         others=_predictors(correlations, named=False),
         by_traversal=[name for name in by_traversal() if name in _known(correlations)],
         summary=draw(
-            "summary", plots.summary(correlations, [n for n in NAMED if n in _known(correlations)])
+            "summary", summary(correlations, [n for n in NAMED if n in _known(correlations)])
         ),
-        other_summary=draw(
-            "summary-others", plots.summary(correlations, _other_names(correlations))
-        ),
+        other_summary=draw("summary-others", summary(correlations, _other_names(correlations))),
         where=groups.get(DEPTH, []),
         claims=claims,
         unjudged=_unjudged(claims),
         fewest=FEWEST_SCENES,
         sections=[(title, group) for title, group in groups.items() if title not in first],
         scenes=[
-            _scene(draw, record, correlations, of_scene)
+            _scene(draw, record, correlations, of_scene, main)
             for record, of_scene in zip(records, of_scenes, strict=True)
         ],
         words=_WORDS,
@@ -259,9 +261,14 @@ def _predictors(correlations: pd.DataFrame, named: bool) -> list[dict[str, str]]
 
 def _builders(records: Records) -> list[dict[str, str]]:
     """Name, colour and gloss of each builder; those of the scene that has most come first."""
-    names = plots.places_of(records)
+    names = places_of(records)
     return [
-        {"name": name, "colour": builder_colour(i), "gloss": _gloss(name)}
+        {
+            "name": name,
+            "colour": builder_colour(i),
+            "icon": icon(builder_shape(i), builder_colour(i)),
+            "gloss": _gloss(name),
+        }
         for name, i in names.items()
     ]
 
@@ -276,7 +283,7 @@ def _gloss(name: str) -> str:
 
 
 def _scene(
-    draw: _Draw, record: SceneRecord, correlations: pd.DataFrame, sheets: list[Sheet]
+    draw: _Draw, record: SceneRecord, correlations: pd.DataFrame, sheets: list[Sheet], main: str
 ) -> dict[str, Any]:
     name = record.scene
     return {
@@ -289,7 +296,7 @@ def _scene(
         "thumbnail": _thumbnail(record.picture),
         "timing": record.timing,
         "sheets": sheets,
-        "r": _of_scene(record, correlations[correlations["scene"] == name]),
+        "r": _of_scene(record, correlations[correlations["scene"] == name], main),
         "figures": [
             (caption, draw(f"{name}-{key}", figure)) for key, caption, figure in _figures(record)
         ],
@@ -299,7 +306,7 @@ def _scene(
 def _figures(record: SceneRecord) -> Iterator[tuple[str, str, Any]]:
     """Yield the name of a figure's file, what is said below it, and the figure."""
     for target in targets():
-        yield target.figure, target.caption, plots.predicted_measured(record, target)
+        yield target.figure, target.caption, predicted_measured(record, target)
     yield "depth", _CAPTIONS["depth"], plots.by_depth(record)
     if depth := record.result(DepthResult):
         yield "remaining", _CAPTIONS["remaining"], plots.remaining(record, depth)
@@ -310,14 +317,16 @@ def _figures(record: SceneRecord) -> Iterator[tuple[str, str, Any]]:
         yield name, f"{sweep.name}: cost against {sweep.option}.", plots.swept(sweep)
 
 
-def _of_scene(record: SceneRecord, correlations: pd.DataFrame) -> list[tuple[str, str, str, str]]:
-    """Of each measurement: its name, r of SAH, r with EPO (α fitted), and how well it is known."""
+def _of_scene(
+    record: SceneRecord, correlations: pd.DataFrame, main: str
+) -> list[tuple[str, dict[str, str], str]]:
+    """Of each measurement: its name, r of three predictors, and how well it is known."""
     r = correlations.set_index(["measurement", "predictor"])["pearson"]
+    names = dict.fromkeys(("SAH", "fitted", main))
     return [
         (
             target.heading,
-            _r(r[target.name, "SAH"]),
-            _r(r[target.name, "fitted"]),
+            {name: _r(r[target.name, name]) for name in names},
             f"times ±{worst_error([record], target.error):.1%}"
             if target.error
             else "exact for its rays",

@@ -11,9 +11,10 @@ from mibvh.metrics.predictors import Sample
 from mibvh.studies.analyse.correlations import predicted
 from mibvh.studies.measure.widths import WidthResult, columns_at
 from mibvh.studies.record.scene import SceneRecord
+from mibvh.studies.report.agreement import limits_beside, scatter
 from mibvh.studies.report.axes import Panel
 from mibvh.studies.report.drawing import Drawing
-from mibvh.studies.report.plots import limits_of, row_of_panels, scatter
+from mibvh.studies.report.layout import row_of_panels
 
 
 def at_widths(record: SceneRecord, found: WidthResult) -> Drawing:
@@ -49,7 +50,7 @@ def side_by_side(record: SceneRecord, samples: Mapping[str, Sample]) -> Drawing:
             alpha, values = predicted("fixed 0.79", sample)
         r = pearson(values, sample.measured)
         said = f"{title}, α = {alpha:.2f}" + (f":  r = {r:.3f}" if np.isfinite(r) else "")
-        limits = limits_of(values, 0.16), limits_of(sample.measured, 0.1)
+        limits = limits_beside(values, sample.measured)
         panel = Panel(sheet, part, *limits, title=said, labels=("predicted cost", "counted cost"))
         tips = [
             f"{name}, {title}: counted cost {y:.4g}, predicted {x:.4g}"

@@ -62,37 +62,38 @@ def tidy_table(records: Records) -> pd.DataFrame:
     splits. The columns are listed in ``docs/experiments.md``.
     """
     known = quantities()
-    rows = [
-        row
-        for record in records
-        for experiment in experiments()
-        for tidy in experiment.rows(record)
-        for row in _rows(record, tidy, known)
-    ]
-    return pd.DataFrame(rows)
+    return pd.DataFrame([row for record in records for row in _of_scene(record, known)])
+
+
+def _of_scene(record: SceneRecord, known: dict[str, Quantity]) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a scene; what they share is made once, as there are thousands."""
+    common, rays = _common(record), _rays(record)
+    for experiment in experiments():
+        for tidy in experiment.rows(record):
+            yield from _rows(record, tidy, known, common, {**rays, **tidy.rays})
 
 
 def _rows(
-    record: SceneRecord, tidy: TidyRow, known: dict[str, Quantity]
+    record: SceneRecord,
+    tidy: TidyRow,
+    known: dict[str, Quantity],
+    common: dict[str, Any],
+    rays: dict[str, int],
 ) -> Iterator[dict[str, Any]]:
     """Yield a row of the file for each quantity; undeclared ones have their names alone."""
     tree, of = record.trees[tidy.place], dict(tidy.of)
     # Trees of other programs have no options.
     max_leaf = of.pop("max_leaf", tree.options.get("max_leaf", -1))
     options = {**tree.options, "max_leaf": max_leaf} if tree.options else {}
-    common = _common(record)
-    rays = {**_rays(record), **tidy.rays}
+    before = {**common, "builder": tree.builder, "builder_options": json.dumps(options)}
+    after = {**_USUAL, "max_leaf": max_leaf, **of}
     undeclared = [Quantity(name=name, unit="") for name in tidy.values if name not in known]
     for quantity in (*known.values(), *undeclared):
         if quantity.name in tidy.values:
             yield {
-                **common,
-                "builder": tree.builder,
-                "builder_options": json.dumps(options),
+                **before,
                 "rays": rays[quantity.rays] if quantity.rays else 0,
-                **_USUAL,
-                "max_leaf": max_leaf,
-                **of,
+                **after,
                 "measurement": quantity.name,
                 "value": float(tidy.values[quantity.name]),
                 "unit": quantity.unit,

@@ -49,10 +49,15 @@ def prediction_sheets(records: Records, correlations: pd.DataFrame) -> list[Shee
     ]
 
 
-def times_known(records: Records) -> str:
-    """How well the times are known that an r is against, by lane mode; empty where none is."""
+def time_errors(records: Records) -> str:
+    """Largest standard errors of times, by lane mode; empty where there are none."""
     errors = {lanes.title: worst_error(records, lanes.error) for lanes in LANES}
-    told = " and ".join(f"±{e:.1%} ({name})" for name, e in errors.items() if np.isfinite(e))
+    return " and ".join(f"±{e:.1%} ({name})" for name, e in errors.items() if np.isfinite(e))
+
+
+def times_known(records: Records) -> str:
+    """How well the times are known that an r is against, in a sentence."""
+    told = time_errors(records)
     if not told:
         return ""
     return (

@@ -1,0 +1,94 @@
+"""The figure of how well each predictor did: Pearson's r, a point per scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from mibvh.metrics.registry import Quantity
+from mibvh.studies.analyse.correlations import SCALAR
+from mibvh.studies.record.quantities import targets
+from mibvh.studies.report.axes import MARGINS, Panel
+from mibvh.studies.report.drawing import INK, Drawing, Stroke, Words
+from mibvh.studies.report.layout import row_of_panels
+from mibvh.triangles import F64
+
+#: Values of r that are marked on their axis, and what an r of 1 is short of it there.
+_MARKED_R = (-0.5, 0.0, 0.5, 0.7, 0.9, 0.97, 0.99, 0.997, 0.999, 0.9997)
+_LEAST = 1e-4
+#: Of the mean of points that are no builder's.
+_ACCENT = "#D55E00"
+
+
+def summary(table: pd.DataFrame, names: Sequence[str]) -> Drawing:
+    """Pearson's r of some predictors, a point per scene, with counted cost and scalar time.
+
+    The axis is logarithmic in 1 - r: most r are near 1, where a linear axis tells nothing apart.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From :func:`mibvh.studies.analyse.correlations.correlations`.
+    names : sequence of str
+        Of the predictors, one per row.
+    """
+    shown = table[table["pearson"].notna() & table["predictor"].isin(names)]
+    short = _short_of_one(shown["pearson"].to_numpy(np.float64))
+    limits = (1.2 * max([*short, 0.05]), min([*short, 0.01]) / 1.4)
+    held = [q for q in targets() if q.name in ("counted_cost", SCALAR.ns)]
+    height = 60 + 24.0 * len(names)
+    sheet, parts = row_of_panels(height, panels=len(held))
+    margins = (98.0, *MARGINS[1:])
+    for part, target in zip(parts, held, strict=True):
+        labels = ("r over a scene's trees (log of 1 − r)", "")
+        panel = Panel(
+            sheet,
+            part,
+            limits,
+            (len(names) - 0.5, -0.5),
+            title=f"with {target.heading}",
+            labels=labels,
+            log=(True, False),
+            ticks=(False, False),
+            margins=margins,
+        )
+        for r in _MARKED_R:
+            if limits[1] <= 1 - r <= limits[0]:
+                panel.mark_across(1 - r, f"{r:g}")
+        for i, name in enumerate(names):
+            of = shown[(shown["measurement"] == target.name) & (shown["predictor"] == name)]
+            _summary_row(panel, of, name, i, target)
+    return sheet
+
+
+def _short_of_one(r: F64) -> F64:
+    """1 - r, and a little where r is 1."""
+    return np.maximum(1 - r, _LEAST)
+
+
+def _summary_row(panel: Panel, of: pd.DataFrame, name: str, i: int, target: Quantity) -> None:
+    y = float(panel.y(i))
+    panel.sheet.add(Words(x=panel.part.x + 92, y=y, text=name, anchor="end"))
+    tips = [
+        f"{s}: r = {r:.4f}, {name}, {target.heading}"
+        for s, r in zip(of["scene"], of["pearson"], strict=True)
+    ]
+    spread = np.linspace(-0.18, 0.18, len(of)) if len(of) > 1 else np.zeros(len(of))
+    panel.dots(
+        _short_of_one(of["pearson"].to_numpy(np.float64)),
+        i + spread,
+        [""] * len(of),
+        tips,
+        [i] * len(of),
+        size=4.5,
+        shapes=False,
+        opacity=0.6,
+        # Not a builder's colour: these are predictors.
+        colour=INK,
+    )
+    if len(of) > 1:
+        mean = float(panel.x(_short_of_one(of["pearson"].mean())))
+        ends = np.array([[mean, y - 9], [mean, y + 9]])
+        panel.sheet.add(Stroke(points=ends, width=2.2, colour=_ACCENT))
