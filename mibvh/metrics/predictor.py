@@ -234,7 +234,10 @@ def bootstrap_interval(
     drawn = np.random.default_rng(seed).integers(0, y.shape[1], (1000, y.shape[1]))
     means = y[:, drawn].mean(axis=2)
     x, means = x - x.mean(), means - means.mean(axis=0)
-    r = x @ means / np.sqrt((x @ x) * (means * means).sum(axis=0))
+    size = np.sqrt((x @ x) * (means * means).sum(axis=0))
+    r = (x @ means)[size > 0] / size[size > 0]  # of few rays, a draw may be of those that miss
+    if not len(r):
+        return float("nan"), float("nan")
     low, high = np.quantile(r, [0.5 - confidence / 2, 0.5 + confidence / 2])
     return float(low), float(high)
 

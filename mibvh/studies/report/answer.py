@@ -40,7 +40,7 @@ _WHY = {
 
 
 def answer(records: Records, correlations: pd.DataFrame) -> list[str]:
-    """Return the findings in ten lines at most.
+    """Return the findings in ten lines or so.
 
     Parameters
     ----------
@@ -51,6 +51,7 @@ def answer(records: Records, correlations: pd.DataFrame) -> list[str]:
     advised = advice(correlations)
     return [
         *(_each(records) if len(records) <= _FEW else _best(records)),
+        *_without(records),
         *_checked(records),
         *_predicted(correlations, advised),
         *_why(correlations, advised),
@@ -110,6 +111,13 @@ def _given(record: SceneRecord) -> Iterator[str]:
             place = f"number {1 + int((cost < cost[i]).sum())} of {len(cost)}"
             above = f"{cost[i] / cost[best] - 1:.1%} above {record.trees[best].builder}"
             yield f"{record.scene}: {tree.builder} is {place}, {above}"
+
+
+def _without(records: Records) -> Iterator[str]:
+    """Over how many trees the figures of scenes are that some tree is missing of."""
+    told = [f"{record.over} of {record.scene}" for record in records if record.over]
+    if told:
+        yield f"Figures and correlations are over {', '.join(told)}: the others could not be had"
 
 
 def _checked(records: Records) -> Iterator[str]:
