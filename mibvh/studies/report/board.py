@@ -57,7 +57,7 @@ class Board:
         else:
             self._heartbeat.__exit__(None, None, None)
 
-    def _sign_of_life(self) -> None:
+    def _sign_of_life(self) -> bool:
         """Say where the study is, if it has been at one step for long."""
         with self._lock:
             step, now = self._step, time.monotonic()
@@ -71,6 +71,7 @@ class Board:
             else:
                 more = f", {_clock(left.scene)}" if left.scene else ""
                 sys.stderr.write(f"{step.scene or 'study'}: {step} ({step.done:.0%}{more})\n")
+        return True
 
     def __call__(self, step: Progress) -> None:
         """Note that a step is reached."""
@@ -91,6 +92,7 @@ class Board:
                 self._draw(step, left)
             elif step.memory is not None:
                 sys.stderr.write(f"{scene}: {_room(step.memory)}\n")
+                self._heartbeat.beat()
             elif done == 1.0:
                 sys.stderr.write(f"{scene}: {step.stage} ({self._finished} of {self._scenes})\n")
                 self._heartbeat.beat()
