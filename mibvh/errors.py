@@ -17,6 +17,24 @@ class MibvhError(ValueError):
     """
 
 
+class TreeFailed(MibvhError):
+    """One tree of a scene, or a figure of it, cannot be had; the others may be."""
+
+
+@contextlib.contextmanager
+def of_one_tree() -> Iterator[None]:
+    """Say of a mistake within that it concerns one tree of a scene.
+
+    Raises
+    ------
+    TreeFailed
+    """
+    try:
+        yield
+    except MibvhError as error:
+        raise TreeFailed(str(error)) from error
+
+
 def expect(kind: type | tuple[type, ...], **values: object) -> None:
     """Refuse arguments of another type.
 
@@ -69,8 +87,6 @@ def users_code(what: str, file: str) -> Iterator[None]:
     """
     try:
         yield
-    except MemoryError:
-        raise
     except (Exception, SystemExit) as error:
         raise MibvhError(f"{what}{_place(error, Path(file))}: {_said(error)}") from error
 

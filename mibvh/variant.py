@@ -156,6 +156,26 @@ def _prepare(backend: str) -> None:
         dr.set_thread_count(thread_count())
 
 
+@contextlib.contextmanager
+def spare_thread() -> Iterator[None]:
+    """Give Dr.Jit's pool a second thread for a while, if it has one only.
+
+    Mitsuba hands the lines of OpenEXR files that it reads and writes to that pool, and waits for
+    them in the only thread that could do them.
+    """
+    import drjit as dr
+
+    threads = dr.thread_count()
+    if threads > 1:
+        yield
+        return
+    dr.set_thread_count(2)
+    try:
+        yield
+    finally:
+        dr.set_thread_count(threads)
+
+
 def _hint(variant: str) -> str:
     return LLVM_HINT if variant.startswith("llvm") else "an NVIDIA driver is needed"
 

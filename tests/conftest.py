@@ -19,12 +19,13 @@ def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ["MIBVH_CACHE"] = str(tmp_path_factory.mktemp("cache"))
 
 
-#: Files of slow tests beside those of studies, and what else makes a test slow: whole studies. All
-#: others are fast.
+#: Files of slow tests beside those of studies, and what else makes a test slow: whole studies, and
+#: the mark ``slow`` on tests that take seconds among others that do not. All others are fast.
 SLOW_FILES = {
     "test_cli",
     "test_cluster",
     "test_cluster_faults",
+    "test_docs",
     "test_embree",
     "test_experiments",
     "test_faults",
@@ -52,7 +53,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         name = item.path.stem
         slow = name in SLOW_FILES or name.startswith("test_study")
         slow = slow or bool(SLOW_FIXTURES & set(getattr(item, "fixturenames", ())))
-        item.add_marker("slow" if slow else "fast")
+        if item.get_closest_marker("slow") is None:
+            item.add_marker("slow" if slow else "fast")
     marked = [item for item in items if item.get_closest_marker("cuda")]
     if not marked:
         return

@@ -92,6 +92,21 @@ def test_a_killed_worker_loses_its_scene_only(cluster, tmp_path):
         assert there.table[name].tolist() == here.table[name].tolist()
 
 
+def test_a_tree_that_fails_on_a_worker_is_missing(cluster, tmp_path):
+    tree = mibvh.build(SCENES[0], "lbvh")
+    found = mibvh.study(
+        SCENES,
+        tmp_path,
+        trees={"mine": [tree, tree]},
+        scheduler=cluster.scheduler_address,
+        **CHOICES,
+    )
+    assert [len(record.trees) for record in found.scenes] == [3, 2]
+    ((scene, one),) = found.missing
+    assert (scene, one.tree) == (SCENES[1], "mine")
+    assert "built for another geometry" in one.why
+
+
 def test_mistakes_on_a_cluster(cluster, tmp_path):
     address = cluster.scheduler_address
     with pytest.raises(mibvh.MibvhError, match=r"nowhere\.ply: there is no such file"):

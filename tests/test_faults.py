@@ -7,12 +7,15 @@ import subprocess
 import sys
 import threading
 import time
+from unittest import mock
 
 import pytest
+import typer.core
 
 import mibvh
+from mibvh import heartbeat
 from mibvh.files import atomic_path, write_arrays, write_text
-from mibvh.heartbeat import Heartbeat
+from mibvh.heartbeat import Heartbeat, Pulse
 from mibvh.studies.lock import alone_in
 
 COMMAND = [sys.executable, "-m", "mibvh"]
@@ -225,21 +228,88 @@ def test_compiling_is_told_apart_from_building(monkeypatch):
     assert seen.count("compiling") == 1
 
 
-def test_a_sign_of_life_in_silence_only():
-    said = []
-    with Heartbeat(lambda: said.append(time.monotonic()), silence=0.05) as heart:
-        for _ in range(10):
-            time.sleep(0.01)
+class Told:
+    """Heartbeats by a clock of the test's own, and what they say."""
+
+    def __init__(self):
+        self.now, self.lines = 0.0, []
+        self.pulse = Pulse(lambda: self.now)
+
+    def phase(self, name, has_one=True):
+        def say():
+            if has_one:
+                self.lines.append((self.now, name))
+            return has_one
+
+        return Heartbeat(say, self.pulse)
+
+    def silence(self, seconds):
+        """Let time go by, with a look every half second."""
+        for _ in range(int(2 * seconds)):
+            self.now += 0.5
+            self.pulse.look()
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """The looks are the test's: the thread has none."""
+    monkeypatch.setattr(Pulse, "_loop", lambda self, ended: None)
+    return Told()
+
+
+def test_a_sign_of_life_in_silence_only(told):
+    with told.phase("one") as heart:
+        for _ in range(9):
+            told.silence(3)
             heart.beat()
-        quiet = len(said)
-        deadline = time.monotonic() + 5
-        while len(said) < 3 and time.monotonic() < deadline:
-            time.sleep(0.01)
-    assert len(said) >= 3
-    assert quiet <= 2
-    before = threading.active_count()
-    assert not heart._thread.is_alive()
-    assert before >= 1
+        assert told.lines == []
+        told.silence(20)
+    assert told.lines == [(33.0, "one"), (39.0, "one"), (45.0, "one")]
+
+
+def test_phases_that_follow_on_each_other_are_one_silence(told):
+    """Each by a clock of its own, three phases of five seconds would be silent for fifteen."""
+    with told.phase("at work"):
+        for name in ("load", "build", "save"):
+            with told.phase(name):
+                told.silence(5)
+        told.silence(5)
+        with told.phase("nothing yet", has_one=False):
+            told.silence(5)
+    assert told.lines == [(6.0, "build"), (12.0, "save"), (18.0, "at work"), (24.0, "at work")]
+
+
+def test_a_pipe_that_nobody_reads_ends_nothing(told):
+    def say():
+        raise BrokenPipeError
+
+    with Heartbeat(say, told.pulse), told.phase("inner", has_one=False):
+        told.silence(20)
+
+
+def test_the_clock_is_looked_at_while_there_is_a_phase(monkeypatch):
+    monkeypatch.setattr(heartbeat, "LOOK", 0.001)
+    monkeypatch.setattr(heartbeat, "SILENCE", 0.0)
+    said, pulse = threading.Event(), Pulse()
+    with Heartbeat(lambda: said.set() or True, pulse), Heartbeat(lambda: False, pulse):
+        assert said.wait(60)
+    assert pulse._thread is None
+
+
+def test_a_command_shows_signs_of_life_in_all_it_does(monkeypatch, capsys):
+    """From its start to its end, between its phases too."""
+    monkeypatch.setattr(heartbeat, "LOOK", 0.001)
+    monkeypatch.setattr(heartbeat, "SILENCE", 0.0)
+    from mibvh.cli.app import _Commands
+
+    def invoke(self, ctx):
+        deadline = time.monotonic() + 60
+        while "at work" not in capsys.readouterr().err and time.monotonic() < deadline:
+            time.sleep(0.001)
+        return deadline > time.monotonic()
+
+    monkeypatch.setattr(typer.core.TyperGroup, "invoke", invoke)
+    assert _Commands().invoke(mock.Mock(args=[]))
 
 
 def test_compiled_code_is_kept_elsewhere_where_package_and_home_are_read_only(tmp_path):

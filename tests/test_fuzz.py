@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -71,10 +72,62 @@ def test_pieces_end_well_and_a_file_outside_is_noticed(monkeypatch):
         bench.run(0)
 
 
-def run_fuzz(*words):
+def test_damage_that_no_report_is_made_from_is_made_whole(monkeypatch):
+    """Of such cases the study alone is run; wrong figures are found all the same."""
+    bench = pieces.Pieces()
+    reports = []
+    monkeypatch.setattr(pieces, "remake_report", reports.append)
+    monkeypatch.setattr(pieces, "_REPORTED", set())
+    assert bench.run(1) == "damaged made whole"
+    assert reports == []
+    bench.truth += "7"
+    with pytest.raises(AssertionError, match="wrong numbers from damaged pieces"):
+        bench.run(1)
+
+
+def run_fuzz(*words, **environment):
     return subprocess.run(
-        [sys.executable, "-m", "tools.fuzz", *words], cwd=_ROOT, capture_output=True, text=True
+        [sys.executable, "-m", "tools.fuzz", *words],
+        cwd=_ROOT,
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
     )
+
+
+CARELESS = """
+import contextlib
+import shutil
+import mibvh.files
+from tools.fuzz.kills import Kills
+
+
+class Careless(Kills):
+    def __init__(self):
+        super().__init__()
+
+        @contextlib.contextmanager
+        def leaves(path):
+            beside = path.with_name(f".{path.name}")
+            yield beside
+            shutil.copy(beside, path)
+
+        mibvh.files.atomic_path = leaves
+"""
+
+
+def test_kills_end_well_and_half_files_are_found(tmp_path):
+    (tmp_path / "careless.py").write_text(CARELESS)
+    path = os.pathsep.join([str(tmp_path), _ROOT])
+    whole, left = (
+        run_fuzz(part, FUZZ_CASES="2", MIBVH_THREADS="1", PYTHONPATH=path)
+        for part in ("kills", "careless:Careless")
+    )
+    assert (whole.returncode, whole.stderr) == (0, "")
+    assert "kills: 2 cases" in whole.stdout
+    assert whole.stdout.count("killed") >= 1
+    assert left.returncode == 1
+    assert "AssertionError: half a file is left" in left.stdout
 
 
 def test_help_and_a_part_that_there_is_not():

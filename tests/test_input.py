@@ -168,6 +168,7 @@ def test_parameters_in_every_command(cli, tmp_path):
         assert "Mitsuba cannot load it" in err
 
 
+@pytest.mark.slow
 def test_parameters_in_a_study(cli, tmp_path):
     """Two scenes of one file in one folder: neither takes the other's results."""
     path = tmp_path / "s.xml"

@@ -201,6 +201,7 @@ def inner_boxes(tree):
     return np.concatenate([tree.lower, tree.upper], axis=1)[~tree.is_leaf]
 
 
+@pytest.mark.slow
 def test_a_measure_of_the_users_own_counts_everywhere():
     """In the start tree, in the optimiser and in the collapse."""
     corners, mine = room(500), Length()
@@ -215,7 +216,10 @@ def test_a_measure_of_the_users_own_counts_everywhere():
     assert lengths[0] < 0.9 * lengths[1]
 
 
-@pytest.mark.parametrize("name", ["bbvh", "sbvh", "hill", "anneal", "bittner", "treelet"])
+@pytest.mark.parametrize(
+    "name",
+    ["bbvh", "sbvh", "hill", "anneal", "bittner", pytest.param("treelet", marks=pytest.mark.slow)],
+)
 def test_builders_minimise_the_measure_they_are_given(name):
     """Rays cross a corner of the room only: what they touch is less than in the area tree."""
     corners = room(500)

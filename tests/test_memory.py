@@ -98,6 +98,7 @@ def test_rays_epo_and_tracing_are_refused(cornell, free):
         mibvh.trace(tree, cornell, rays)
 
 
+@pytest.mark.slow
 def test_a_scene_too_large_for_a_study_is_left_out(tmp_path, free):
     """It says so before any tree is built; what fits is studied."""
     free(20_000_000)

@@ -78,6 +78,58 @@ assert all(np.array_equal(a.lower, b.lower) for a, b in zip(alone * 8, found))
 """
 
 
+#: Every way in which images are read and written, with one thread for everything.
+IMAGES = """
+import faulthandler, sys
+faulthandler.dump_traceback_later(500, exit=True)
+import drjit, numpy
+from mibvh.cli import main
+from mibvh.variant import mitsuba
+mi = mitsuba()
+assert drjit.thread_count() == 1
+mi.Bitmap(numpy.full((4, 8, 3), 128, numpy.uint8)).write("grey.png")
+open("s.xml", "w").write('''<scene version="3.0.0"><sensor type="perspective">
+<transform name="to_world"><lookat origin="0, 1, -5" target="0, 0, 0" up="0, 1, 0"/></transform>
+<film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="6"/></film>
+</sensor><emitter type="envmap"><string name="filename" value="$sky"/></emitter>
+<shape type="cube"><bsdf type="diffuse"><texture type="bitmap" name="reflectance">
+<string name="filename" value="$sky"/></texture></bsdf></shape></scene>''')
+few = ("--spp", "2", "--builder", "lbvh")
+for words in (
+    ("render", "s.xml", "-o", "sky.exr", "-D", "sky=grey.png", *few),
+    ("render", "s.xml", "-o", "out.exr", "-D", "sky=sky.exr", *few),
+    ("render", "s.xml", "-o", "out.png", "-D", "sky=sky.exr", *few),
+    ("render", "s.xml", "-o", "c.exr", "-D", "sky=sky.exr", "--integrator", "bvh_cost", *few),
+    ("render", "s.xml", "-o", "c.png", "-D", "sky=sky.exr", "--integrator", "bvh_cost", *few),
+    ("scenes", "show", "s.xml", "-D", "sky=sky.exr", "-o", "show.png"),
+    ("study", "s.xml", "-D", "sky=sky.exr", "-o", "out", "--builders", "lbvh", "--seconds", "0"),
+    ("report", "out", "--figures", "png"),
+):
+    sys.argv = ["mibvh", *words]
+    try:
+        main()
+    except SystemExit as ended:
+        assert not ended.code, (words, ended.code)
+    assert drjit.thread_count() == 1
+"""
+
+
+def test_images_are_read_and_written_with_one_thread(tmp_path):
+    """Mitsuba's tasks of OpenEXR files wait for ever where there is no thread to do them."""
+    ended = subprocess.run(
+        [sys.executable, "-c", IMAGES],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+        cwd=tmp_path,
+        env={**os.environ, "MIBVH_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    assert ended.returncode == 0, ended.stderr[-3000:]
+    for name in ("sky.exr", "out.exr", "out.png", "c.exr", "c.png", "show.png", "out/report.html"):
+        assert (tmp_path / name).stat().st_size > 100
+
+
 @pytest.mark.parametrize("program", [FORKED, THREADS], ids=["forked", "threads"])
 def test_builders_run_in_a_forked_process_and_in_several_threads(program):
     """Thread pools of the parent do not survive a fork; none may be kept."""

@@ -166,6 +166,7 @@ def test_path_length_of_directions_of_any_length():
     assert ratios == pytest.approx([0.75, 0.75])
 
 
+@pytest.mark.slow
 def test_finite_rays_are_predicted_without_a_fit():
     """The derivation's own case: segments of one length, of any place and direction.
 

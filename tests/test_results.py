@@ -120,6 +120,7 @@ def made(tmp_path_factory):
     return folder, checkout, arguments
 
 
+@pytest.mark.slow
 def test_scenes_of_a_folder(made):
     folder, _, _ = made
     found = scenes_of(folder / "scenes", ["other"])

@@ -168,6 +168,55 @@ class Draft:
             np.array(reference, np.int32),
         )
 
+    def check(self, triangles: Triangles) -> None:
+        """Refuse a draft that compiled code could not walk; its boxes are checked with the tree.
+
+        Raises
+        ------
+        MibvhError
+            If an array has another shape or type than it should, or the nodes make no tree.
+        """
+        refs, nodes = self.references, 2 * len(self.references) - 1
+        arrays = {
+            "left": (self.left, np.int32, (nodes,)),
+            "right": (self.right, np.int32, (nodes,)),
+            "reference": (self.reference, np.int32, (nodes,)),
+            "references.triangle": (refs.triangle, np.int32, (len(refs),)),
+            "references.lower": (refs.lower, np.float32, (len(refs), 3)),
+            "references.upper": (refs.upper, np.float32, (len(refs), 3)),
+        }
+        for name, (array, dtype, shape) in arrays.items():
+            if not isinstance(array, np.ndarray) or (array.dtype, array.shape) != (dtype, shape):
+                raise MibvhError(f"{name} of its draft is no array {shape} of {np.dtype(dtype)}")
+        ids, inner = refs.triangle, self.left >= 0
+        if ids.min() < 0 or ids.max() >= len(triangles):
+            raise MibvhError("its draft has references to triangles that are not there")
+        children = np.sort(np.concatenate([self.left[inner], self.right[inner]]))
+        held = np.sort(self.reference[~inner])
+        sound = np.array_equal(children, np.arange(1, nodes)) and np.array_equal(
+            held, np.arange(len(refs))
+        )
+        if not sound or _reached(self.left, self.right) < nodes:
+            raise MibvhError(
+                "its draft is no tree: from node 0, each node must be reached once, and each "
+                "reference in one leaf"
+            )
+
+
+@njit
+def _reached(left, right):
+    """How many nodes are reached from node 0, of nodes that are each the child of one at most."""
+    stack = np.zeros(len(left), np.int32)
+    top, reached = 1, 0
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        reached += 1
+        if left[node] >= 0:
+            stack[top], stack[top + 1] = left[node], right[node]
+            top += 2
+    return reached
+
 
 def _ids(value: Any) -> npt.NDArray[np.int64]:
     """Triangle ids of a leaf, one or several."""

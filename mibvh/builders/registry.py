@@ -176,10 +176,14 @@ class Builder:
     def _made(self, triangles: Any, options: Options, context: Context) -> Draft | Tree:
         with self.guard(self.function):
             result = self.function(triangles, options, context)
-        if isinstance(result, Draft | Tree):
+        if isinstance(result, Tree):
             return result
         try:
-            return Draft.from_nested(result, triangles)
+            if not isinstance(result, Draft):
+                return Draft.from_nested(result, triangles)
+            if not self.bundled:
+                result.check(triangles)
+            return result
         except MibvhError as error:
             raise MibvhError(f"builder {self.name}: {error}") from error
 

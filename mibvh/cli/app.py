@@ -16,6 +16,7 @@ from typer.core import TyperGroup
 from mibvh.cli import listings, measure, scenes, trees
 from mibvh.cli.compare import compare
 from mibvh.cli.exits import INTERRUPTED
+from mibvh.cli.progress import signs_of_life
 from mibvh.cli.render import render
 from mibvh.cli.study import report, study
 from mibvh.errors import MibvhError, users_code
@@ -50,7 +51,8 @@ class _Commands(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         _keep_inputs(ctx.args)
         try:
-            return super().invoke(ctx)
+            with signs_of_life():
+                return super().invoke(ctx)
         except KeyboardInterrupt:
             # What a study has finished is kept; others write their one file at the end.
             goes_on = ctx.invoked_subcommand == "study"

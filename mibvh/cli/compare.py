@@ -10,7 +10,7 @@ import typer
 import mibvh
 from mibvh.cli.options import Define, Json, SceneArgument
 from mibvh.cli.printing import print_json, print_table
-from mibvh.cli.progress import load
+from mibvh.cli.progress import doing, load
 from mibvh.errors import MibvhError
 
 if TYPE_CHECKING:
@@ -37,10 +37,11 @@ def compare(
         raise MibvhError(f"{output}: the picture is a .png file in a folder that is there")
     asked = mibvh.read_rays(rays) if rays else None
     loaded = load(scene, define)
-    compared = mibvh.compare(loaded, first, second, rays=asked)
+    with doing("comparing"):
+        compared = mibvh.compare(loaded, first, second, rays=asked)
     if output is not None:
-        figure = difference_figure(loaded, compared, sensor)
-        with atomic_path(output) as path:
+        with doing("drawing the difference"), atomic_path(output) as path:
+            figure = difference_figure(loaded, compared, sensor)
             figure.savefig(path, format="png", dpi=120, facecolor="white")
     if as_json:
         print_json(compared.to_json())

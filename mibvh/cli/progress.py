@@ -34,9 +34,10 @@ def progress_bar() -> Iterator[Any]:
         transient=True,
     )
 
-    def say() -> None:
+    def say() -> bool:
         for task in bar.tasks[-1:]:
             sys.stderr.write(f"mibvh: {task.description} ({task.percentage:.0f}%)\n")
+        return bool(bar.tasks)
 
     with bar, contextlib.nullcontext() if terminal else Heartbeat(say):
         yield bar
@@ -71,7 +72,19 @@ def show_stages(bar: Any, task: Any, prefix: str = "") -> Callable[[str, float],
 
 def doing(what: str) -> Heartbeat:
     """Say every few seconds what a command without progress is doing."""
-    return Heartbeat(lambda: typer.echo(f"mibvh: {what} ...", err=True))
+
+    def say() -> bool:
+        typer.echo(f"mibvh: {what} ...", err=True)
+        return True
+
+    return Heartbeat(say)
+
+
+@contextlib.contextmanager
+def signs_of_life() -> Iterator[None]:
+    """Say, where no terminal is, that a command is at work, whatever it does."""
+    with contextlib.nullcontext() if sys.stderr.isatty() else doing("at work"):
+        yield
 
 
 def load(source: str, define: list[str] | None = None) -> Scene:

@@ -123,9 +123,11 @@ def study(
     _print_study(result, as_json)
     for name, why in result.left_out.items():
         typer.echo(f"mibvh: {name} was left out: {why}", err=True)
+    for name, one in result.missing:
+        typer.echo(f"mibvh: {name}: {one}", err=True)
     if result.failures:
         raise typer.Exit(AUDIT_FAILED)
-    if result.left_out:
+    if result.left_out or result.missing:
         raise typer.Exit(REFUSED)
 
 
@@ -155,6 +157,7 @@ def _print_study(result: Study, as_json: bool) -> None:
             "correlations": json.loads(result.correlations.to_json(orient="records")),
             "audit_failures": failed,
             "left_out": result.left_out,
+            "missing": [{"scene": s, **dataclasses.asdict(one)} for s, one in result.missing],
         }
     )
 

@@ -247,7 +247,10 @@ def bootstrap_interval(
     if np.isnan(pearson(x, y.mean(axis=1))):
         return float("nan"), float("nan")
     x, means = x - x.mean(), _resampled(y.tobytes(), y.shape, seed)
-    r = x @ means / np.sqrt((x @ x) * (means * means).sum(axis=0))
+    size = np.sqrt((x @ x) * (means * means).sum(axis=0))
+    r = (x @ means)[size > 0] / size[size > 0]  # of few rays, a draw may be of those that miss
+    if not len(r):
+        return float("nan"), float("nan")
     low, high = np.quantile(r, [0.5 - confidence / 2, 0.5 + confidence / 2])
     return float(low), float(high)
 

@@ -127,15 +127,12 @@ class Metric:
         Raises
         ------
         MibvhError
-            If the returned quantities are not the declared ones.
+            If one of the user's own fails, or the returned quantities are not the declared ones, or
+            no numbers.
         """
         with guard(f"metric {self.name}", self.compute):
-            found = self.compute(subject)
-        # Plain numbers: records are written as JSON.
-        values = {
-            name: value.item() if isinstance(value, np.generic) else value
-            for name, value in found.items()
-        }
+            found = dict(self.compute(subject))
+        values = {name: self._number(name, value) for name, value in found.items()}
         declared = {quantity.name for quantity in self.quantities}
         if wrong := sorted(declared ^ set(values)):
             raise MibvhError(
@@ -143,6 +140,13 @@ class Metric:
                 f"{'missing' if wrong[0] in declared else 'not among them'}"
             )
         return values
+
+    def _number(self, name: str, value: object) -> float:
+        """A plain number: records are written as JSON."""
+        plain = value.item() if isinstance(value, np.generic) else value
+        if isinstance(plain, int | float) and (isinstance(plain, float) or abs(plain) < 1 << 63):
+            return plain
+        raise MibvhError(f"metric {self.name}: {name} is {str(plain)[:40]!r}, not a number")
 
 
 #: Modules with a ``METRIC``, in the order of their columns in files.

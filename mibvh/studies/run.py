@@ -22,6 +22,7 @@ from mibvh.files import file_name, write_text
 from mibvh.scene import load
 from mibvh.studies.ahead import compiled_ahead
 from mibvh.studies.analyse.depth import depth_table
+from mibvh.studies.analyse.missing import missing
 from mibvh.studies.analyse.rotation import rotation_factors
 from mibvh.studies.analyse.sensitivity import sensitivity_table
 from mibvh.studies.lock import alone_in
@@ -29,8 +30,8 @@ from mibvh.studies.measure.scene import study_scene
 from mibvh.studies.measure.store import Store
 from mibvh.studies.paper.catalogue import triangle_count_notes
 from mibvh.studies.record.options import StudyOptions
-from mibvh.studies.record.progress import LEFT_OUT, Listener, Progress
-from mibvh.studies.record.scene import FORMAT, SceneRecord
+from mibvh.studies.record.progress import LEFT_OUT, MISSING, Listener, Progress
+from mibvh.studies.record.scene import FORMAT, Missing, SceneRecord
 from mibvh.studies.record.serialise import from_json, to_json
 from mibvh.studies.sources import Source, checked, study_sources
 
@@ -117,6 +118,11 @@ class Study:
 
         return failures(self.scenes)
 
+    @functools.cached_property
+    def missing(self) -> list[tuple[str, Missing]]:
+        """The scene and what is missing of it: the study goes on where the user's code fails."""
+        return missing(self.scenes)
+
     @property
     def report(self) -> Path:
         """The HTML report."""
@@ -191,8 +197,8 @@ def study(
     if not sources:
         raise MibvhError("; ".join(left_out.values()))
     listener = _listener(progress)
-    for name in left_out:
-        listener(Progress(name, "", LEFT_OUT, None, 1.0))
+    for name, why in left_out.items():
+        listener(_left_out(name, why))
     store = Store(Path(folder) / "cache")
     with alone_in(Path(folder)):
         return _study(sources, left_out, store, options, listener, scheduler)
@@ -218,7 +224,7 @@ def _study(
     for source, record in zip(sources, found, strict=True):
         if isinstance(record, MibvhError):
             left_out[source.name] = str(record)
-            listener(Progress(source.name, "", LEFT_OUT, None, 1.0))
+            listener(_left_out(source.name, str(record)))
             continue
         notes = [*record.notes, *triangle_count_notes(record.scene, record.triangles)]
         records.append(dataclasses.replace(record, notes=notes))
@@ -228,8 +234,16 @@ def _study(
     if not records:
         raise MibvhError("; ".join(left_out.values()))
     store.write(_FINISHED, to_json(_Finished([r.scene for r in records], FORMAT, left_out)))
+    study = Study(folder, records, records[-1].environment, left_out)
+    for scene, one in study.missing:
+        if one not in next(record.missing for record in records if record.scene == scene):
+            listener(Progress(scene, "", MISSING, None, 1.0, missing=str(one)))
     write_outputs(folder, records, left_out)
-    return Study(folder, records, records[-1].environment, left_out)
+    return study
+
+
+def _left_out(name: str, why: str) -> Progress:
+    return Progress(name, "", LEFT_OUT, None, 1.0, missing=f"left out: {why}")
 
 
 def _options(choices: dict[str, Any]) -> StudyOptions:
@@ -326,9 +340,10 @@ def write_outputs(
     write_tables(folder, records, found)
     written = write_sheets(folder, [*sheets, *(sheet for scene in of_scenes for sheet in scene)])
     write_text(folder / "environment.json", json.dumps(records[-1].environment, indent=2))
-    missing = [f"Left out: {name}: {why}\n" for name, why in (left_out or {}).items()]
+    without = [f"Left out: {name}: {why}\n" for name, why in (left_out or {}).items()]
+    without += [f"Missing of {scene}: {literal(f'{one}')}\n" for scene, one in missing(records)]
     findings = "".join(f"- {literal(line)}\n" for line in answer(records, found))
-    parts = [*missing, findings, *(sheet.markdown() for sheet in sheets)]
+    parts = [*without, findings, *(sheet.markdown() for sheet in sheets)]
     write_text(folder / "results.md", "\n".join(parts))
     written += write_report(folder, records, found, sheets, of_scenes, left_out or {}, figures)
     store = Store(folder / "cache")

@@ -116,9 +116,11 @@ def checked(sources: list[Source], keep: bool) -> tuple[list[Source], dict[str, 
     Raises
     ------
     MibvhError
-        If a tree or ray file cannot be read, or is not of its scene.
+        If a tree or ray file cannot be read, rays are not of their scene, or a tree is of none of
+        its scenes. One that is of some is missing in the others, as they are studied.
     """
     sound, left_out = [], {}
+    faults: dict[str, list[MibvhError | None]] = {}
     for source in sources:
         if source.trees or source.rays is not None:
             given = source.given()
@@ -127,10 +129,15 @@ def checked(sources: list[Source], keep: bool) -> tuple[list[Source], dict[str, 
             except MibvhError as error:
                 left_out[source.name] = str(error)
                 continue
-            given.check(scene.triangles)
+            unfit = given.check(scene.triangles)
+            for name in source.trees:
+                faults.setdefault(name, []).append(unfit.get(name))
             if keep and len(sources) == 1:
                 source = dataclasses.replace(source, scene=scene)
         sound.append(source)
+    for of_scenes in faults.values():
+        if of_scenes[0] is not None and all(of_scenes):
+            raise of_scenes[0]
     return sound, left_out
 
 

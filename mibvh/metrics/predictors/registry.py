@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from mibvh.errors import MibvhError
+from mibvh.errors import MibvhError, guard
 
 F64 = npt.NDArray[np.float64]
 #: Fitted weights by name, such as ``{"alpha": 0.71}``.
@@ -41,6 +41,12 @@ class Sample:
 
     values: Values
     measured: F64
+
+    def where(self, chosen: npt.NDArray[np.bool_]) -> Sample:
+        """Return the sample of some of the trees."""
+        if chosen.all():
+            return self
+        return Sample({name: v[chosen] for name, v in self.values.items()}, self.measured[chosen])
 
 
 def no_weights(samples: Sequence[Sample], this: int) -> Weights:
@@ -116,7 +122,10 @@ _added: dict[str, Predictor] = {}
 
 
 def add_predictor(predictor: Predictor) -> Predictor:
-    """Register a predictor. All later studies evaluate and show it."""
+    """Register a predictor. All later studies evaluate and show it.
+
+    Where it fails, it predicts NaN, and the study says why (:func:`faults`).
+    """
     _added[predictor.name] = predictor
     return predictor
 
@@ -124,7 +133,72 @@ def add_predictor(predictor: Predictor) -> Predictor:
 def predictors() -> tuple[Predictor, ...]:
     """Return all predictors: the bundled ones, then the user's own in the order of addition."""
     bundled = (p for name in _BUNDLED for p in importlib.import_module(name).PREDICTORS)
-    return (*bundled, *_added.values())
+    return (*bundled, *map(_forgiving, _added.values()))
+
+
+def faults(samples: Sequence[Sample], this: int) -> dict[str, MibvhError]:
+    """Return why predictors of the user's own fail at a scene, by the predictor's name."""
+    found = {}
+    values = samples[this].values
+    for one in _added.values():
+        try:
+            if one.knows(values):
+                _predicted(one, values, _fitted(one, samples, this))
+        except MibvhError as error:
+            found[one.name] = error
+    return found
+
+
+def _forgiving(one: Predictor) -> Predictor:
+    """Return a user's predictor as one that predicts NaN where it fails."""
+
+    def fit(samples: Sequence[Sample], this: int) -> Weights:
+        try:
+            return _fitted(one, samples, this)
+        except MibvhError:
+            return {}
+
+    def predict(values: Values, weights: Weights) -> F64:
+        try:
+            return _predicted(one, values, weights)
+        except MibvhError:
+            return np.full(_count(values), _NONE)
+
+    return dataclasses.replace(one, fit=fit, predict=predict)
+
+
+def _fitted(one: Predictor, samples: Sequence[Sample], this: int) -> Weights:
+    """Fit a user's predictor to the trees of which all that it needs is known."""
+    with guard(f"predictor {one.name}", one.fit):
+        weights = one.fit([s.where(_known(one, s.values)) for s in samples], this)
+        return {str(name): float(value) for name, value in dict(weights).items()}
+
+
+def _predicted(one: Predictor, values: Values, weights: Weights) -> F64:
+    """Predict by a user's predictor; NaN of trees of which something that it needs is not known."""
+    known = _known(one, values)
+    found = np.full(len(known), _NONE)
+    with guard(f"predictor {one.name}", one.predict):
+        some = {name: value[known] for name, value in values.items()}
+        predicted = np.asarray(one.predict(some, weights), np.float64)
+    if predicted.shape != (known.sum(),):
+        raise MibvhError(
+            f"predictor {one.name} gives an array {predicted.shape} for {known.sum()} trees"
+        )
+    found[known] = predicted
+    return found
+
+
+def _known(one: Predictor, values: Values) -> npt.NDArray[np.bool_]:
+    """(K,) bool: the trees of which all that a predictor needs is known."""
+    known = np.full(_count(values), one.knows(values))
+    for name in one.needs if one.knows(values) else ():
+        known &= np.isfinite(values[name])
+    return known
+
+
+def _count(values: Values) -> int:
+    return len(next(iter(values.values())))
 
 
 def predictor(name: str) -> Predictor:

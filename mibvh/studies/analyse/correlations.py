@@ -77,7 +77,8 @@ def correlations(records: Records) -> pd.DataFrame:
         :func:`mibvh.metrics.predictor.agreement`, ``held_out`` (Pearson r of trees predicted from
         a fit to the other trees, for predictors with free weights), ``low, high`` (95%
         bootstrap interval of r over the rays, for counted cost), and ``trees_low, trees_high``
-        (95% interval of r over the trees; :func:`mibvh.metrics.predictor.fisher_interval`).
+        (95% interval of r over the trees; :func:`mibvh.metrics.predictor.fisher_interval`). Trees
+        that nothing is predicted of have no part in it: ``trees`` counts the others.
     """
     rows = [row for target in targets() for row in _of_target(records, target)]
     return pd.DataFrame(rows)
@@ -100,11 +101,12 @@ def _of_target(records: Records, target: Quantity) -> Iterator[dict[str, float |
             if not one.knows(sample.values):
                 continue
             weights, values = one(known, place)
-            agrees = agreement(values, sample.measured)
+            sound = np.isfinite(values)  # a user's metric may be missing of a tree
+            agrees = agreement(values[sound], sample.measured[sound])
             trees = fisher_interval(agrees["pearson"], agrees["trees"])
             low = high = _NONE
             if target.name == "counted_cost":
-                low, high = bootstrap_interval(values, groups)
+                low, high = bootstrap_interval(values[sound], groups[sound])
             yield {
                 **name,
                 "predictor": one.name,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from mibvh.errors import MibvhError
 from mibvh.rays import RaySet
@@ -26,16 +26,26 @@ class Given:
     trees: Mapping[str, Tree] = dataclasses.field(default_factory=dict)
     rays: RaySet | None = None
 
-    def check(self, triangles: Triangles) -> None:
+    def check(self, triangles: Triangles) -> dict[str, MibvhError]:
         """See that trees and rays are of these triangles, and can be traced.
+
+        Returns
+        -------
+        dict of str to MibvhError
+            What is wrong with each tree that is not.
 
         Raises
         ------
         MibvhError
-            With the first fault.
+            If a tree cannot be read, or with the first fault of the rays.
         """
+        unfit: dict[str, MibvhError] = {}
         for name in self.trees:
-            _check(name, self.trees[name], triangles)
+            tree = self.trees[name]
+            try:
+                check_given(name, tree, triangles)
+            except MibvhError as error:
+                unfit[name] = error
         if self.rays is not None:
             if len(self.rays) == 0:
                 raise MibvhError(f"there are no rays in those given for {triangles.name}")
@@ -45,13 +55,14 @@ class Given:
                     "any hit; a study asks for the closest, so trace them with mibvh trace"
                 )
             self.rays.check_matches(triangles)
+        return unfit
 
-    def notes(self) -> list[str]:
-        """What a reader has to know of them, in sentences."""
+    def notes(self, studied: Collection[str]) -> list[str]:
+        """What a reader has to know of them, in sentences; of trees, of those that are studied."""
         said = [
             f"The tree {name} was given as it is: it has no options and no build time."
             for name in self.trees
-            if "build_seconds" not in self.trees[name].meta
+            if name in studied and "build_seconds" not in self.trees[name].meta
         ]
         if self.rays is not None:
             of = self.rays.meta.get("file") or self.rays.meta.get("kind") or "an array"
@@ -59,7 +70,14 @@ class Given:
         return said
 
 
-def _check(name: str, tree: Tree, triangles: Triangles) -> None:
+def check_given(name: str, tree: Tree, triangles: Triangles) -> None:
+    """See that a given tree is of these triangles, and can be traced.
+
+    Raises
+    ------
+    MibvhError
+        With the first fault.
+    """
     try:
         tree.check_matches(triangles)
     except MibvhError as error:

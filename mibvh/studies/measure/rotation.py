@@ -104,6 +104,8 @@ def rotation_experiment(setting: Setting, report: Reporter) -> RotationResult:
         return _nothing(scene)
     counter = RayCounter(scene, rays, options.cull, WarpRules(**options.warps()))
     trees, rows = study_trees(sources, counter, store, report.part(0.0, 1.1))
+    if not rows:
+        return _nothing(scene)
     names = list(trees)
     before = Frame(setting.scene, setting.rays, setting.trees, names)
     after = Frame(scene, rays, trees, names)

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from mibvh.code import code_digest
 from mibvh.environment import environment
+from mibvh.errors import MibvhError
 from mibvh.memory import COMPILED, used_memory
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene
@@ -71,6 +72,12 @@ def study_scene(
         Told of the progress.
     given : Given
         Finished trees and rays that the user brings.
+
+    Raises
+    ------
+    MibvhError
+        If the scene cannot be studied, or no tree of it can be had. Where some can, the others are
+        reported as missing, and the record says so.
     """
     asked = chosen(options.experiments)
     shares = _shares(asked)
@@ -93,9 +100,13 @@ def study_scene(
         seconds[experiment.name] = sum(store.spent.values())
         reused[experiment.name] = store.reused.total()
     listener(Progress(scene.name, "", "done", None, 1.0))
-    memory = {**record.memory, **peaks.found}
     return dataclasses.replace(
-        record, results=results, seconds=seconds, reused=reused, memory=memory
+        record,
+        results=results,
+        seconds=seconds,
+        reused=reused,
+        memory={**record.memory, **peaks.found},
+        missing=reporter.found_missing,
     )
 
 
@@ -118,8 +129,12 @@ def _predict(
     counter = RayCounter(scene, rays, options.cull, WarpRules(**options.warps()))
     with peaks.of("trees"):
         trees, rows = study_trees(sources, counter, store, report)
+    if not rows:
+        reasons = "; ".join(dict.fromkeys(one.why for one in report.found_missing))
+        raise MibvhError(f"{scene.name}: there is no tree ({reasons})")
     release_memory()
     own = given.rays is not None
+    sources = {name: sources[name] for name in trees}
     setting = Setting(scene, rays, trees, options, machine, store, sources, own_rays=own)
     with peaks.of("stopwatch"):
         rows, timing = _time(setting, rows, report)
@@ -132,7 +147,7 @@ def _predict(
         scene=scene.name,
         triangles=len(scene.triangles),
         digest=scene.triangles.digest,
-        notes=[*scene.notes, *given.notes(), *([picture.note] if picture.note else [])],
+        notes=[*scene.notes, *given.notes(trees), *([picture.note] if picture.note else [])],
         rays=RayFacts(
             count=len(rays),
             digest=rays.digest,

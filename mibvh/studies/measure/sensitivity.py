@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from mibvh.builders import Context, get
 from mibvh.builders.finish import finish
 from mibvh.builders.sharing import shared_drafts
+from mibvh.errors import TreeFailed, of_one_tree
 from mibvh.metrics.epo import epo
 from mibvh.metrics.sah import sah
 from mibvh.rays import RaySet, diffuse_rays
@@ -61,7 +62,8 @@ class SensitivityResult(Result, experiment="sensitivity"):
     Attributes
     ----------
     leaf_sizes : list of list of LeafSize
-        Of each tree one per size; none of trees that were not made by a builder's draft.
+        Of each tree one per size; none of trees that were not made by a builder's draft, or could
+        not be made again.
     bounces : list of list of OriginCost
         Of each tree the costs of the rays that are deeper than the scene's ray set.
     """
@@ -103,7 +105,11 @@ def sensitivity_experiment(setting: Setting, report: Reporter) -> SensitivityRes
             make = functools.partial(
                 _leaf_sizes, setting.sources[name], setting.scene, setting.rays, options.cull
             )
-            leaf_sizes.append(kept(setting.store, f"leaves-{piece}", _Sizes, make).sizes)
+            try:
+                leaf_sizes.append(kept(setting.store, f"leaves-{piece}", _Sizes, make).sizes)
+            except TreeFailed as error:  # of a user's builder, when it ran a second time
+                report.missing(f"tree {name}", error)
+                leaf_sizes.append([])
     return SensitivityResult(leaf_sizes, _bounces(setting, report.part(0.7, 0.3)))
 
 
@@ -114,7 +120,8 @@ def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _
         return _Sizes([])
     entry = get(source.chosen.builder)
     options = entry.options(**dict(source.chosen.options))
-    draft = entry.run(triangles, options, Context(source=scene))
+    with of_one_tree():
+        draft = entry.run(triangles, options, Context(source=scene))
     if isinstance(draft, Tree):
         return _Sizes([])
     some = rays.select(slice(None, None, -(-len(rays) // _LEAF_RAYS)))

@@ -14,11 +14,13 @@ import numpy as np
 from mibvh.builders import Options, build, get
 from mibvh.builders.chosen import Chosen, parse_all
 from mibvh.builders.sharing import shared_drafts
-from mibvh.metrics.registry import Subject, added_metrics, bundled_metrics
+from mibvh.errors import MibvhError, TreeFailed, of_one_tree
+from mibvh.metrics.registry import Metric, Subject, added_metrics, bundled_metrics
 from mibvh.scene import Scene
 from mibvh.studies.measure.audit import Auditor, Checks
 from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import LINES, Counts, RayCounter
+from mibvh.studies.measure.given import check_given
 from mibvh.studies.measure.looks import scene_digest
 from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.shelf import Shelf
@@ -96,6 +98,12 @@ class TreeSource:
         """Build the tree. Stages of a builder are not reported, but that it has to be compiled.
 
         The builder is handed the scene: one that asks for rays gets those of its cameras.
+
+        Raises
+        ------
+        TreeFailed
+            If the builder is the user's own and fails, or has no tree for this scene. What a
+            builder of this package raises by mistake stays what it is.
         """
         assert self.chosen is not None, "a tree that was given is not built"
 
@@ -103,7 +111,8 @@ class TreeSource:
             report("compiling" if stage == "compiling" else "build", 0.0)
 
         options = dict(self.chosen.options)
-        return build(scene, self.chosen.builder, progress=progress, **options)
+        with of_one_tree():
+            return build(scene, self.chosen.builder, progress=progress, **options)
 
 
 def sources_of(builders: Sequence[str], trees: Mapping[str, Tree]) -> dict[str, TreeSource]:
@@ -137,13 +146,14 @@ def study_trees(
 ) -> tuple[Shelf, list[TreeRow]]:
     """Build, judge, count and audit the trees of a scene.
 
-    Trees that others start from are built once.
+    Trees that others start from are built once. One that cannot be had is reported as missing, and
+    the others are made without it.
 
     Returns
     -------
     trees : Shelf
     rows : list of TreeRow
-        Without times.
+        Without times; of those trees that could be had.
     """
     auditor = Auditor(counter)
     trees = Shelf()
@@ -155,7 +165,11 @@ def study_trees(
             part = report.part(0.02 + share * i, share, name)
             drafts.want(frozenset().union(*waiting[i:]))
             trees.tidy()
-            _shelve(source, counter.scene, trees, store, part)
+            try:
+                _shelve(source, counter.scene, trees, store, part)
+            except TreeFailed as error:
+                part.missing(f"tree {name}", error, tree=name)
+                continue
             rows.append(study_tree(source, trees[name], counter, auditor, store, part))
     return trees, rows
 
@@ -167,6 +181,8 @@ def _shelve(source: TreeSource, scene: Scene, trees: Shelf, store: Store, report
     if source.given is not None:
         again = source.given
         tree = again()
+        with of_one_tree():
+            check_given(source.name, tree, scene.triangles)
     else:
         tree = store.array(Tree, key, functools.partial(source.make, scene, report))
         again = store.again(Tree, key or key_of(tree=tree.digest), tree)
@@ -197,7 +213,7 @@ def study_tree(
     values = {**judged.values, **counts.values, **counter.warps.kept(tree, store)}
     # Nothing tells whether the code of a user's own metrics is still the same: they are not kept.
     for metric in added_metrics():
-        values |= metric(Subject(tree, triangles))
+        values |= _own_metric(metric, source.name, Subject(tree, triangles), report)
     report("audit", 0.95)
     audited = {name: values[name] for name in ("sah", "epo", "counted_cost", "warp_scalar_cost")}
     audit_key = key_of(
@@ -223,6 +239,17 @@ def study_tree(
         build_report=tree.meta.get("report", {}),
         audit=kept(store, f"audit-{audit_key}", Checks, audit).checks,
     )
+
+
+def _own_metric(
+    metric: Metric, name: str, subject: Subject, report: Reporter
+) -> Mapping[str, float]:
+    """Compute a user's metric of a tree; NaN where it fails, which is reported."""
+    try:
+        return metric(subject)
+    except MibvhError as error:
+        report.missing(f"metric {metric.name} of tree {name}", error)
+        return {quantity.name: math.nan for quantity in metric.quantities}
 
 
 def judged_tree(tree: Tree, triangles: Triangles, store: Store) -> TreeFigures:

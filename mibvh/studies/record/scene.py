@@ -23,7 +23,7 @@ from mibvh.studies.record.serialise import from_json, to_json
 from mibvh.triangles import F64
 
 #: To be raised with every change of the fields below.
-FORMAT = 10
+FORMAT = 11
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,6 +126,32 @@ class Timing:
 
 
 @dataclasses.dataclass(frozen=True)
+class Missing:
+    """What of a scene could not be had, and why: the rest of its figures are without it.
+
+    Attributes
+    ----------
+    what : str
+        Such as ``tree mine``, or ``metric hops of tree bbvh``.
+    why : str
+        One sentence.
+    tree : str
+        The tree that has no row for it; empty where it is less than a tree.
+    """
+
+    what: str
+    why: str
+    tree: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("what", "why", "tree"):
+            object.__setattr__(self, name, plain(getattr(self, name)))
+
+    def __str__(self) -> str:
+        return f"{self.what} is missing: {self.why}"
+
+
+@dataclasses.dataclass(frozen=True)
 class RayFacts:
     """A scene's ray set: how many rays, their hash, how they were made."""
 
@@ -191,6 +217,9 @@ class SceneRecord:
         was expected of it all.
     results : dict of str to Result
         Of the experiments beside prediction that were run, by name.
+    missing : list of Missing
+        Trees that a builder of the user's own failed at, and the like; the next run tries them
+        again.
     """
 
     scene: str
@@ -208,6 +237,7 @@ class SceneRecord:
     code: str
     memory: dict[str, float] = dataclasses.field(default_factory=dict)
     results: dict[str, Any] = dataclasses.field(default_factory=dict)
+    missing: list[Missing] = dataclasses.field(default_factory=list)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", plain(self.scene))  # a file may be called anything
@@ -228,6 +258,12 @@ class SceneRecord:
     def knows(self, name: str) -> bool:
         """Whether a quantity is known of all trees: times are not, where rays are too few."""
         return bool(np.isfinite(self.column(name)).all())
+
+    @property
+    def over(self) -> str:
+        """Over how many trees the scene's figures are, where some are missing; otherwise empty."""
+        count, without = len(self.trees), [one.tree for one in self.missing if one.tree]
+        return f"{count} of {count + len(without)} trees" if without else ""
 
     def splits_triangles(self, tree: TreeRow) -> bool:
         """Whether a tree enters some triangle more than once."""

@@ -85,7 +85,7 @@ def _multiple(
     near = together(measured)
     limits = limits_of(np.concatenate([sah[near], main[near], measured[near]]), 0.12)
     panel = Panel(sheet, part, limits, limits, margins=_SMALL_MARGINS)
-    said = f"r {_r(r_sah)} → {_r(r_main)}"
+    said = f"r {_r(r_sah)} → {_r(r_main)}" + (f", {record.over}" if record.over else "")
     sheet.parts[-1] = part._replace(title=f"{record.scene}, {name} against counted cost: {said}")
     sheet.add(
         Words(x=part.x + 4, y=part.y + 8, text=record.scene[:24], size=10, strong=True),

@@ -53,6 +53,7 @@ def answer(records: Records, correlations: pd.DataFrame) -> list[str]:
     advised = advice(correlations)
     return [
         *(_each(records) if len(records) <= _FEW else _best(records)),
+        *_without(records),
         *_checked(records),
         *_predicted(correlations, advised),
         *_chosen(records, advised),
@@ -126,6 +127,13 @@ def _given(record: SceneRecord) -> Iterator[str]:
             place = f"number {1 + int((cost < cost[i]).sum())} of {len(cost)}"
             above = f"{cost[i] / cost[best] - 1:.1%} above {record.trees[best].builder}"
             yield f"{tree.builder} is {place}, {above}"
+
+
+def _without(records: Records) -> Iterator[str]:
+    """Over how many trees the figures of scenes are that some tree is missing of."""
+    told = [f"{record.over} of {record.scene}" for record in records if record.over]
+    if told:
+        yield f"Missing trees: figures and correlations are over {', '.join(told)}"
 
 
 def _checked(records: Records) -> Iterator[str]:

@@ -10,7 +10,7 @@ import time
 from typing import Any, NamedTuple
 
 from mibvh.heartbeat import Heartbeat
-from mibvh.studies.record.progress import Progress
+from mibvh.studies.record.progress import MISSING, Progress
 
 #: Seconds between two lines of the same stage.
 _EVERY = 1.0
@@ -57,7 +57,7 @@ class Board:
         else:
             self._heartbeat.__exit__(None, None, None)
 
-    def _sign_of_life(self) -> None:
+    def _sign_of_life(self) -> bool:
         """Say where the study is, if it has been at one step for long."""
         with self._lock:
             step, now = self._step, time.monotonic()
@@ -71,12 +71,17 @@ class Board:
             else:
                 more = f", {_clock(left.scene)}" if left.scene else ""
                 sys.stderr.write(f"{step.scene or 'study'}: {step} ({step.done:.0%}{more})\n")
+        return True
 
     def __call__(self, step: Progress) -> None:
         """Note that a step is reached."""
         scene, done = step.scene, step.done
         with self._lock:
             now = time.monotonic()
+            if step.missing is not None:
+                self._tell(step, now)
+                if step.stage == MISSING:
+                    return
             if scene not in self._begun or (done == 0.0 and self._done[scene] > 0.0):
                 self._begun[scene] = now  # a scene whose worker died begins again
             self._done[scene], self._step = done, step
@@ -87,9 +92,21 @@ class Board:
                 self._draw(step, left)
             elif step.memory is not None:
                 sys.stderr.write(f"{scene}: {_room(step.memory)}\n")
+                self._heartbeat.beat()
             elif done == 1.0:
                 sys.stderr.write(f"{scene}: {step.stage} ({self._finished} of {self._scenes})\n")
                 self._heartbeat.beat()
+
+    def _tell(self, step: Progress, now: float) -> None:
+        """Say what the study goes on without."""
+        line = f"{step.scene}: {step.missing}"
+        if self._lines:
+            self._write(step, _Left(None, None), now)
+        elif self._bars:
+            self._bars.console.print(line, highlight=False, markup=False)
+        else:
+            sys.stderr.write(f"mibvh: {line}\n")
+            self._heartbeat.beat()
 
     def _time_left(self, scene: str, now: float) -> _Left:
         return _Left(
@@ -104,7 +121,12 @@ class Board:
     def _write(self, step: Progress, left: _Left, now: float) -> None:
         """Write a line, unless the last one of the same stage was written a moment ago."""
         same = self._last is not None and dataclasses.replace(step, done=self._last.done)
-        if step.done < 1.0 and same == self._last and now - self._written < _EVERY:
+        if (
+            step.done < 1.0
+            and step.missing is None
+            and same == self._last
+            and now - self._written < _EVERY
+        ):
             return
         self._last, self._written = step, now
         line = {

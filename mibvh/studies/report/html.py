@@ -23,6 +23,7 @@ from mibvh.metrics.predictors import predictors
 from mibvh.plot.marks import builder_colour, builder_shape
 from mibvh.studies.analyse.advice import advice
 from mibvh.studies.analyse.correlations import LANES, overview, worst_error
+from mibvh.studies.analyse.missing import missing
 from mibvh.studies.analyse.rotation import rotation_factors
 from mibvh.studies.analyse.sweep import sweeps
 from mibvh.studies.measure.depth import DepthResult
@@ -131,6 +132,8 @@ def write_report(
     page = _template().render(
         builders=_builders(records),
         left_out=left_out,
+        missing=missing(records),
+        trees=_trees_each(records),
         doubted=len(failures(records)),
         answer=answer(records, correlations),
         winners=draw("winners", winners(records)),
@@ -178,6 +181,13 @@ class _Draw:
             figure.save(self._folder / f"{stem}.{kind}")
         self.written += [f"{stem}.{kind}" for kind in ("svg", *self._kinds)]
         return [figure.svg(part) for part in figure.parts]
+
+
+def _trees_each(records: Records) -> str:
+    """How many trees a scene has."""
+    counts = sorted({len(record.trees) for record in records})
+    told = " to ".join(map(str, dict.fromkeys((counts[0], counts[-1]))))
+    return f"{told} tree{'s' * (counts[-1] != 1)} each"
 
 
 def _known(correlations: pd.DataFrame) -> list[str]:
@@ -286,19 +296,22 @@ def _scene(
     draw: _Draw, record: SceneRecord, correlations: pd.DataFrame, sheets: list[Sheet], main: str
 ) -> dict[str, Any]:
     name = record.scene
+    over = f" Over {record.over}." if record.over else ""
     return {
         "name": name,
         "triangles": f"{record.triangles:,}",
         "rays": f"{record.rays.count:,}",
         "viewpoints": record.rays.viewpoints,
         "notes": record.notes,
+        "over": record.over,
         "picture": record.picture,
         "thumbnail": _thumbnail(record.picture),
         "timing": record.timing,
         "sheets": sheets,
         "r": _of_scene(record, correlations[correlations["scene"] == name], main),
         "figures": [
-            (caption, draw(f"{name}-{key}", figure)) for key, caption, figure in _figures(record)
+            (f"{caption}{over}", draw(f"{name}-{key}", figure))
+            for key, caption, figure in _figures(record)
         ],
     }
 
