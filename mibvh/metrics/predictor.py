@@ -122,7 +122,7 @@ def path_length_ratio(triangles: Any, rays: Any, hits: Any) -> float:
     o, d = rays.o.astype(np.float64), rays.d.astype(np.float64)
     enters, leaves = inside_box(triangles.bounds.astype(np.float64), o, d)
     ends = np.minimum(np.minimum(hits.t, rays.tmax), leaves)
-    length = np.maximum(ends - np.maximum(enters, 0), 0)
+    length = np.maximum(ends - np.maximum(enters, 0), 0) * np.linalg.norm(d, axis=1)
     return float(length.mean() / (4 * x * y * z / surface))
 
 
