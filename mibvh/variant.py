@@ -156,6 +156,24 @@ def _prepare(backend: str) -> None:
         dr.set_thread_count(thread_count())
 
 
+@contextlib.contextmanager
+def two_threads() -> Iterator[None]:
+    """Give Dr.Jit two threads for a while, at least.
+
+    On one, Mitsuba waits for itself for ever where it reads or writes OpenEXR.
+    """
+    import drjit as dr
+
+    threads = dr.thread_count()
+    if threads < 2:
+        dr.set_thread_count(2)
+    try:
+        yield
+    finally:
+        if threads < 2:
+            dr.set_thread_count(threads)
+
+
 def _hint(variant: str) -> str:
     return LLVM_HINT if variant.startswith("llvm") else "an NVIDIA driver is needed"
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import struct
+import subprocess
+import sys
 import zlib
 
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 
 import mibvh
 from mibvh.scene import mesh_corners
-from mibvh.variant import mitsuba
+from mibvh.variant import mitsuba, two_threads
 
 SHEAR = '<matrix value="1 .5 0 0  0 1 .3 0  0 0 1 0  0 0 0 1"/>'
 UNEVEN = '<scale x="1" y="2" z="3"/>'
@@ -502,3 +504,25 @@ def test_a_file_that_is_named_like_parameters_is_itself(tmp_path):
 def test_what_is_no_scene(source):
     with pytest.raises(mibvh.MibvhError, match="a scene is a file"):
         mibvh.load(source)
+
+
+def test_textures_in_openexr_are_read_on_one_thread(tmp_path):
+    """Mitsuba's own thread pool has no thread to read them with then, and it waited for ever."""
+    mi = mitsuba()
+    texture = tmp_path / "texture.exr"
+    with two_threads():
+        mi.Bitmap(np.ones((4, 4, 3), np.float32)).write(str(texture))
+    path = tmp_path / "scene.xml"
+    path.write_text(
+        f"""<scene version="3.0.0"><shape type="rectangle"><bsdf type="diffuse">
+        <texture type="bitmap" name="reflectance"><string name="filename" value="{texture}"/>
+        </texture></bsdf></shape></scene>"""
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", f"import mibvh; print(len(mibvh.load({str(path)!r}).triangles))"],
+        env={**os.environ, "MIBVH_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert ran.stdout.split() == ["2"], ran.stderr

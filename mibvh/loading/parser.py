@@ -20,7 +20,7 @@ from mibvh.loading import check_regular, ply, printable, serialized
 from mibvh.loading.mesh import Refused
 from mibvh.registration import register
 from mibvh.triangles import F64
-from mibvh.variant import mitsuba
+from mibvh.variant import mitsuba, two_threads
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -113,7 +113,8 @@ def _parse(
         mi.parser.transform_all(config, state)
         _check_files(mi, state, resolver)
         instances = _expand_instances(mi, state) if flatten else {}
-        scene, notes = _instantiate(mi, config, state)
+        with two_threads():  # textures and environments may be OpenEXR files
+            scene, notes = _instantiate(mi, config, state)
     except MibvhError as error:
         raise MibvhError(f"{where}: {error}") from None
     except MemoryError:

@@ -24,7 +24,7 @@ from mibvh.mitsuba.heatmap import (
 from mibvh.ranges import check
 from mibvh.registration import PLUGINS
 from mibvh.scene import find_scene_file, load, makes_rays, mitsuba_mesh, mitsuba_reason
-from mibvh.variant import mitsuba
+from mibvh.variant import mitsuba, two_threads
 
 #: Samples that one pass takes at most: what keeps memory small and the progress bar moving.
 _PASS = 1 << 21
@@ -226,18 +226,12 @@ def _in_passes(
 
 
 def _write_exr(mi: Any, image: npt.NDArray[np.float32], plugin: Any, path: Path) -> None:
-    import drjit as dr
-
     names = plugin.aov_names()
     colours = image.shape[2] - len(names)
     channels = [*(["Y"] if colours == 1 else "RGBA"[:colours]), *names]
     bitmap = mi.Bitmap(image, mi.Bitmap.PixelFormat.MultiChannel, channels)
-    threads = dr.thread_count()
-    dr.set_thread_count(max(threads, 2))  # on one thread, Mitsuba waits for itself for ever
-    try:
+    with two_threads():
         path.write_bytes(_encoded(mi, bitmap, mi.Bitmap.FileFormat.OpenEXR))
-    finally:
-        dr.set_thread_count(threads)
 
 
 def _write_png(
