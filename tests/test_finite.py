@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -84,6 +85,17 @@ def test_rays_of_a_file_are_taken(scene, held_out, tmp_path):
     other = mibvh.Triangles(scene.triangles.corners[1:])
     with pytest.raises(MibvhError, match="made for another geometry"):
         mibvh.build(other, "finite", rays=str(path))
+
+
+def test_rays_of_a_file_that_end_before_their_hits_count_up_to_there(scene, held_out, tmp_path):
+    """What the builder chooses by is what the kernel counts."""
+    short = np.full(len(held_out), 0.05 * scene.triangles.diagonal, np.float32)
+    rays = dataclasses.replace(held_out, tmax=short)
+    rays.save(tmp_path / "rays.npz")
+    few = {"count": len(rays), "planes": 16, "effort": 1}
+    tree = mibvh.build(scene, "finite", rays=str(tmp_path / "rays.npz"), **few)
+    assert tree.meta["report"]["cost"] == pytest.approx(cost(tree, scene, rays), rel=1e-3)
+    assert cost(tree, scene, rays) < 0.8 * cost(tree, scene, held_out)
 
 
 def test_training_rays_are_not_the_default_ones(scene):
