@@ -87,10 +87,10 @@ class Scene:
         return self.reload() if self.reload else self.original
 
     def few_rays(self, count: int, seed: int, kind: str = "diffuse") -> Any:
-        """Path-trace about so many rays of a kind, as many for each viewpoint.
+        """Path-trace rays of a kind from about so many camera rays, as many for each viewpoint.
 
-        What the `finite` builder asks a scene for. Where a vertex may send none (``shadow``),
-        there are fewer.
+        What the `finite` builder asks a scene for. Where camera rays miss, or a vertex may send
+        none (``shadow``), there are fewer.
 
         Parameters
         ----------

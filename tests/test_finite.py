@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
+import trimesh
 
 import mibvh
 from mibvh.builders import names
@@ -83,6 +85,17 @@ def test_rays_of_a_file_are_taken(scene, held_out, tmp_path):
     other = mibvh.Triangles(scene.triangles.corners[1:])
     with pytest.raises(MibvhError, match="made for another geometry"):
         mibvh.build(other, "finite", rays=str(path))
+
+
+def test_rays_of_a_file_that_end_before_their_hits_count_up_to_there(scene, held_out, tmp_path):
+    """What the builder chooses by is what the kernel counts."""
+    short = np.full(len(held_out), 0.05 * scene.triangles.diagonal, np.float32)
+    rays = dataclasses.replace(held_out, tmax=short)
+    rays.save(tmp_path / "rays.npz")
+    few = {"count": len(rays), "planes": 16, "effort": 1}
+    tree = mibvh.build(scene, "finite", rays=str(tmp_path / "rays.npz"), **few)
+    assert tree.meta["report"]["cost"] == pytest.approx(cost(tree, scene, rays), rel=1e-3)
+    assert cost(tree, scene, rays) < 0.8 * cost(tree, scene, held_out)
 
 
 def test_training_rays_are_not_the_default_ones(scene):
@@ -211,7 +224,7 @@ def test_optimize_finds_the_cheapest_tree_and_says_what_it_saves(scene, tmp_path
     from mibvh.cli import app
 
     found = mibvh.optimize(scene, **FEW)
-    assert set(found.costs) == {"finite", "sbvh", "bittner_sbvh"}
+    assert set(found.costs) == {"finite", "sbvh", "bittner_sbvh", "bittner"}
     assert found.costs[found.tree.meta["builder"]] == min(found.costs.values())
     own, sbvh = found.costs["finite"], found.costs["sbvh"]
     assert f"cost {own:.1f} in this tree" in found.sentence()
@@ -222,3 +235,46 @@ def test_optimize_finds_the_cheapest_tree_and_says_what_it_saves(scene, tmp_path
     assert ran.exit_code == 0, ran.output
     assert "counted on" in ran.output
     assert mibvh.Tree.load(path).validate(scene.triangles) == []
+
+
+def test_optimize_measures_with_rays_of_another_seed(monkeypatch, tmp_path):
+    """Rays of the same film and seed are the rays that the tree was built for."""
+    scene = mibvh.load("cornell@500")
+    measured = []
+
+    def traced(tree, scene, rays, **how):
+        measured.append(rays)
+        return mibvh.trace(tree, scene, rays, **how)
+
+    monkeypatch.setattr("mibvh.optimised.trace", traced)
+    film = {"width": 120, "height": 90, "samples": 1}
+    training = mibvh.diffuse_rays(scene, seed=1, **film)
+    training.save(tmp_path / "rays.npz")
+    same_film = 120 * 90 * len(scene.sensors)
+    for options in ({"seed": 1, "count": same_film}, {"rays": str(tmp_path / "rays.npz")}):
+        measured.clear()
+        mibvh.optimize(scene, planes=8, effort=1, **options)
+        rays = np.concatenate([np.hstack([r.o, r.d]) for r in (measured[0], training)])
+        assert len(np.unique(rays, axis=0)) == len(rays)
+
+
+def test_optimize_asks_rays_of_the_kind_that_it_builds_for():
+    scene = mibvh.load("cornell@500")
+    found = mibvh.optimize(scene, kind="shadow", **FEW)
+    rays = mibvh.make_rays(scene, "shadow", width=120, height=90, samples=1, seed=1)
+    tree = mibvh.build(scene, "sbvh")
+    assert found.costs["sbvh"] == mibvh.trace(tree, scene, rays, repeats=1).counted_cost()
+    assert found.sentence().startswith("shadow rays of these cameras cost")
+    assert found.rays == len(rays)
+
+
+def test_optimize_is_no_worse_than_insertion_without_splits():
+    """A few small objects in a room: splitting from the start loses more than the rays gain."""
+    rng = np.random.default_rng(0)
+    ball = trimesh.creation.icosphere(2, radius=0.6).triangles
+    box = trimesh.creation.box(extents=(20, 8, 14)).triangles
+    balls = [ball + (rng.random(3) - 0.5) * (18, 6, 12) for _ in range(12)]
+    scene = mibvh.load(np.concatenate([box, *balls]).astype(np.float32))
+    found = mibvh.optimize(scene, **FEW)
+    rays = mibvh.diffuse_rays(scene, width=96, height=72, samples=1, seed=7)
+    assert cost(found.tree, scene, rays) < 1.01 * cost(mibvh.build(scene, "bittner"), scene, rays)

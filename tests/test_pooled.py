@@ -77,6 +77,40 @@ def test_weights_of_other_scenes():
     assert found["by_scene"] == pytest.approx(np.corrcoef(x, y)[0, 1])
 
 
+def test_a_weight_of_all_scenes_is_fitted_without_the_one_it_is_judged_on():
+    """Two scenes want an alpha of 0.9, one of 0.1; it gets theirs, and they one between."""
+    records = [scene("a", 0.1), scene("b", 0.9, seed=1), scene("c", 0.9, seed=2)]
+    found = rows(records, "fixed best").loc["fixed best"]
+    without = [rows(records[:i] + records[i + 1 :], "fixed best") for i in range(3)]
+    assert without[0].loc["fixed best", "mean"] == pytest.approx(1)
+    shared = [best_alpha(records[:i] + records[i + 1 :]) for i in range(3)]
+    assert shared[0] == pytest.approx(0.9)
+    values = [
+        (1 - alpha) * r.column("sah") + alpha * r.column("epo")
+        for r, alpha in zip(records, shared, strict=True)
+    ]
+    x = np.concatenate([v / v.mean() for v in values])
+    y = np.concatenate(
+        [r.column("counted_cost") / r.column("counted_cost").mean() for r in records]
+    )
+    assert found["by_scene"] == pytest.approx(np.corrcoef(x, y)[0, 1])
+
+
+def best_alpha(records):
+    """Of greatest mean r, in steps of a hundredth."""
+    alphas = np.linspace(0, 1, 101)
+    r = [
+        [
+            np.corrcoef((1 - a) * s.column("sah") + a * s.column("epo"), s.column("counted_cost"))[
+                0, 1
+            ]
+            for a in alphas
+        ]
+        for s in records
+    ]
+    return alphas[np.mean(r, axis=0).argmax()]
+
+
 def test_other_builders_are_of_other_families():
     assert family("bittner(start=sbvh)") == family("bittner") == "bittner"
     assert family("sbvh") == family("bbvh")

@@ -77,7 +77,8 @@ class FiniteOptions(Options):
     )
     count: int = option(
         0,
-        "rays that the tree is built for; 0: one for four triangles, but 30,000 to a million",
+        "camera rays whose hits send the rays that the tree is built for; 0: one for four "
+        "triangles, but 30,000 to a million",
         0,
         MAX_SEGMENTS,
     )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mibvh.errors import MibvhError
-from mibvh.triangles import F32, I32
+from mibvh.triangles import F32, F64, I32
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -23,6 +23,8 @@ class Segments:
         The camera that the ray's path began at; 0 where there is none.
     any_hit : bool
         Whether the first hit that is found ends a ray. Such segments are not cut.
+    reach : (R,) float64, optional
+        How far a ray looks for a hit, in lengths of its segment, 1 or more; by default for ever.
 
     Raises
     ------
@@ -34,12 +36,15 @@ class Segments:
     end: F32
     viewpoint: I32
     any_hit: bool = False
+    reach: F64 | None = None
 
     def __post_init__(self) -> None:
         if self.start.ndim != 2 or self.start.shape[1:] != (3,):
             raise MibvhError(f"segments start at (R, 3) points, not {self.start.shape}")
         if self.end.shape != self.start.shape or self.viewpoint.shape != self.start.shape[:1]:
             raise MibvhError("segments need as many ends and viewpoints as starts")
+        if self.reach is not None and self.reach.shape != self.start.shape[:1]:
+            raise MibvhError("segments need as many reaches as starts")
         if len(self.start) == 0:
             raise MibvhError("there are no segments")
         if not (np.isfinite(self.start).all() and np.isfinite(self.end).all()):
@@ -60,4 +65,5 @@ class Segments:
             start=self.start[chosen],
             end=self.end[chosen],
             viewpoint=self.viewpoint[chosen],
+            reach=None if self.reach is None else self.reach[chosen],
         )

@@ -208,7 +208,11 @@ def cut_at_hits(
     else:
         hit, _ = walk(tree, triangles, o, along, limit)
         t = np.where(np.isfinite(hit), hit, t)
-    return Segments(o, (o + along * t[:, None]).astype(np.float32), viewpoint, any_hit)
+    end = (o + along * t[:, None]).astype(np.float32)
+    if any_hit or not np.isfinite(limit).any():
+        return Segments(o, end, viewpoint, any_hit)
+    reach = np.divide(limit, t, out=np.full(len(t), np.inf), where=t > 0)
+    return Segments(o, end, viewpoint, any_hit, np.maximum(reach, 1.0))
 
 
 def counted_cost(
@@ -216,12 +220,14 @@ def counted_cost(
 ) -> float:
     """Mean cost of segments in a tree: ``c_inner`` per inner node, ``c_tri`` per triangle.
 
-    Segments go on beyond their ends, as the traversal does not know the hit beforehand; those
-    that any hit ends do not.
+    Segments go on beyond their ends up to their reach, as the traversal does not know the hit
+    beforehand; those that any hit ends do not.
     """
     d = segments.end.astype(np.float64) - segments.start
     still = (d == 0).all(axis=1)
     d[still, 0] = 1e-30
     tmax = np.full(len(d), 1.0 if segments.any_hit else np.inf)
+    if segments.reach is not None:
+        tmax = segments.reach
     _, visits = walk(tree, triangles, segments.start, d, tmax, segments.any_hit)
     return float((visits * np.array([c_inner, c_tri])).sum(axis=1).mean())

@@ -183,7 +183,7 @@ def _change_values(array: np.ndarray, rng: Random, kind: int) -> None:
             flat[a : a + size] = flat[a : a + size][::-1].copy()
         elif kind == 6:
             flat.view(np.uint8)[rng.integers(flat.nbytes)] ^= 1 << int(rng.integers(8))
-        elif kind == 7:
+        elif kind == 7 and array.dtype.kind in "iuf":
             step = rng.choice([-2, -1, 1, 2]) if array.dtype.kind != "f" else rng.normal() * 0.1
             flat[a] = (flat[a] + step).astype(array.dtype)
         else:
@@ -211,6 +211,6 @@ def _other_shape(array: np.ndarray, rng: Random) -> np.ndarray:
         case 2:
             return array[None]
         case 3:
-            return array[:0]
+            return array[:0] if array.ndim else array
         case _:
             return array.reshape(-1)[0] if array.size else array

@@ -101,7 +101,9 @@ def _of_others(one: Predictor, known: list[Sample], this: int) -> Weights:
     """Mean of the weights that are fitted to the other scenes; those of the scene for no fit."""
     if one.free == "0":
         return one.fit(known, this)
-    fitted = pd.DataFrame([dict(one.fit(known, i)) for i in range(len(known)) if i != this])
+    # Without the scene itself: it has a part in weights that scenes share.
+    others = [*known[:this], *known[this + 1 :]]
+    fitted = pd.DataFrame([dict(one.fit(others, i)) for i in range(len(others))])
     return {str(name): float(value) for name, value in fitted.mean().items()} or dict.fromkeys(
         one.fit(known, this), _NONE
     )
