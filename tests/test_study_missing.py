@@ -160,7 +160,7 @@ def test_figures_say_over_how_many_trees_they_are(finished):
     assert "I know no forty" in page
     assert f"Missing of {BAD}: tree raises is missing: builder raises failed" in text
     for told in (page, text):
-        assert f"Figures and correlations are over 5 of 10 trees of {BAD}" in told
+        assert f"figures and correlations are over 5 of 10 trees of {BAD}" in told
     assert "5 of 10 trees" in (finished.folder / "figures" / "multiples.svg").read_text()
     r = finished.correlations.set_index(["scene", "measurement", "predictor"])
     assert r.loc[(BAD, "counted_cost", "SAH"), "trees"] == 5
