@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from mibvh.errors import MibvhError
@@ -50,16 +50,27 @@ def from_json(kind: type[T], data: Any) -> T:
 
 
 def _read(kind: Any, data: Any) -> Any:
+    return _reader(kind)(data)
+
+
+@functools.cache
+def _reader(kind: Any) -> Callable[[Any], Any]:
+    """Return what reads data of a type; records hold a hundred thousand numbers, of few types."""
     if dataclasses.is_dataclass(kind):
-        return _read_dataclass(typing.cast(type, kind), data)
+        return functools.partial(_read_dataclass, typing.cast(type, kind))
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if origin in (types.UnionType, typing.Union):
-        return None if data is None else _read(next(i for i in inner if i is not type(None)), data)
+        one = _reader(next(i for i in inner if i is not type(None)))
+        return lambda data: None if data is None else one(data)
     if origin in (tuple, list):
-        return origin(_read(inner[0], of) for of in _checked(list, data))
+        item = _reader(inner[0])
+        return lambda data: origin([item(of) for of in _checked(list, data)])
     if origin is dict:
-        return {plain(key): _read(inner[1], of) for key, of in _checked(dict, data).items()}
-    return _harmless(_checked(kind, data))
+        item = _reader(inner[1])
+        return lambda data: {plain(k): item(of) for k, of in _checked(dict, data).items()}
+    if kind is float:
+        return lambda data: data if type(data) is float else _harmless(_checked(float, data))
+    return lambda data: _harmless(_checked(kind, data))
 
 
 def _checked(kind: Any, data: Any) -> Any:

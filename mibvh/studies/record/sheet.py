@@ -165,9 +165,12 @@ class Sheet:
     def _rows(self) -> list[list[Cell]]:
         """The cells: made once for the page, Markdown and LaTeX."""
         least = {c: _clear_least(self.frame, c) for c in self.columns if c.smaller_is_better}
+        keys = dict.fromkeys(k for c in self.columns for k in (c.key, c.error, c.alarm) if k)
+        # to_dict("records") takes five times as long.
+        rows = zip(*(self.frame[key].tolist() for key in keys), strict=True)
         return [
             [_cell(column, row, least.get(column)) for column in self.columns]
-            for row in self.frame.to_dict("records")
+            for row in (dict(zip(keys, values, strict=True)) for values in rows)
         ]
 
     def markdown(self) -> str:

@@ -108,6 +108,7 @@ class Drawing:
         self.width, self.height = width, height
         self.marks: list[Any] = []
         self.parts: list[Part] = []
+        self._written: dict[int, str] = {}
 
     def add(self, *marks: Mark) -> None:
         """Add marks on top."""
@@ -117,13 +118,19 @@ class Drawing:
         """As SVG, or a part of it; the text has the colour of the page it is in."""
         x, y, width, height, title = part or Part(0, 0, self.width, self.height)
         marks = self.marks if part is None else [m for m in self.marks if _inside(m, part)]
-        body = "".join(_svg(mark) for mark in marks)
+        body = "".join(map(self._svg_of, marks))
         if title:
             body = f'<g role="group" aria-label="{escape(title)}">{body}</g>'
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{x:g} {y:g} {width:g} {height:g}" '
             f'font-family="{_FONT}" fill="none">{body}</svg>'
         )
+
+    def _svg_of(self, mark: Mark) -> str:
+        """The SVG of a mark: the file and the page write the same."""
+        if id(mark) not in self._written:
+            self._written[id(mark)] = _svg(mark)
+        return self._written[id(mark)]
 
     def file(self) -> str:
         """As an SVG file that stands alone."""
