@@ -14,7 +14,7 @@ from mibvh.traversal.trace import trace
 from mibvh.tree import Tree
 
 #: What a tree for the rays has to beat: what renders by default, and the best that know no rays,
-#: with and without splits. In scenes of few small objects the last may be the cheapest of all.
+#: with and without splits. In soups of random triangles the last may be the cheapest of all.
 OTHERS = ("sbvh", "bittner_sbvh", "bittner")
 #: Pixels of each view that the saving is measured with.
 _WIDTH, _HEIGHT = 120, 90
@@ -47,10 +47,11 @@ class Optimised:
         """Say what the tree saves."""
         own = self.costs[self.tree.meta["builder"]]
         others = {name: self.costs[name] for name in OTHERS if name != self.tree.meta["builder"]}
-        saved = " and ".join(
+        *rest, last = (
             f"{1 - own / cost:.0%} of what they cost in {name} ({cost:.1f})"
             for name, cost in others.items()
         )
+        saved = f"{', '.join(rest)} and {last}"
         return (
             f"{self.kind} rays of these cameras cost {own:.1f} in this tree: it saves {saved}; "
             f"counted on {self.rays} rays that it was not built for"

@@ -277,15 +277,3 @@ def test_only_what_lies_in_the_box_counts_for_the_path_length():
     assert path_length_ratio(box, rays, hits) == pytest.approx(0.125 / 3 / (2 / 3))
     all_miss = dataclasses.replace(hits, t=np.full(3, np.inf, np.float32))
     assert path_length_ratio(box, rays, all_miss) == pytest.approx((1 + 0.125) / 3 / (2 / 3))
-
-
-def test_the_length_of_directions_does_not_count_as_path():
-    """Rays of a file may have directions of any length; distances are in units of it."""
-    box = mibvh.Triangles(closed_box())
-    o = np.array([[0.5, 0.5, 0.25], [0.5, 0.5, 0.5], [0.5, 0.5, 0.25]], np.float32)
-    d = np.array([[0, 0, 4], [0.5, 0, 0], [0, 8, 0]], np.float32)
-    zeros = np.zeros(3, np.int32)
-    tmax = np.array([np.inf, np.inf, 0.125 / 8], np.float32)
-    rays = mibvh.RaySet(o, d, tmax, zeros, zeros, zeros)
-    hits = mibvh.trace(mibvh.build(box, "bbvh"), box, rays, repeats=1)
-    assert path_length_ratio(box, rays, hits) == pytest.approx((0.75 + 0.5 + 0.125) / 3 / (2 / 3))
