@@ -10,6 +10,7 @@ import pytest
 
 import mibvh
 from mibvh.builders import names
+from mibvh.builders.finite import FiniteOptions
 from mibvh.errors import MibvhError
 
 FEW = {"count": 3000, "planes": 32}
@@ -153,7 +154,7 @@ def test_where_nothing_can_be_left_out_it_is_the_area_tree():
 
 def test_the_weight_for_unseen_viewpoints_goes_by_what_is_left_out():
     """A gain within its error keeps the area tree; one beyond it does not."""
-    from mibvh.builders.finite import FiniteOptions, _Search
+    from mibvh.builders.finite import _Search
     from mibvh.measures import Segments
 
     class Told(_Search):
@@ -199,6 +200,18 @@ def test_foliage_is_built_without_spatial_splits():
     assert cost["bbvh"] < cost["sbvh"]
     assert tree.meta["report"]["start"] in ("area, bbvh", "flux, bbvh")
     assert mibvh.trace(tree, plants, rays).counted_cost() < cost["bittner"]
+
+
+def test_where_most_camera_rays_miss_more_are_traced():
+    """A small thing in front of far cameras: a few hundred rays would not tell where they go."""
+    rng = np.random.default_rng(7)
+    at, size = rng.random((1200, 1, 3)) * 10, rng.normal(size=(1200, 3, 3)) * 0.1
+    soup = mibvh.load((at + size).astype(np.float32))
+    few = soup.few_rays(30_000, FiniteOptions().seed)
+    assert len(few) < 0.25 * 30_000
+    found = mibvh.build(soup, "finite").meta["report"]["ray_count"]
+    assert found > 3 * len(few)
+    assert mibvh.build(soup, "finite", count=30_000).meta["report"]["ray_count"] == len(few)
 
 
 def test_scenes_of_mixed_scale_give_the_area_more_weight():

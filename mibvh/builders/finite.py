@@ -61,6 +61,9 @@ _TRIALS = 0.05
 #: Rays for a triangle, and fewest and most rays, where their number is not given.
 _DENSITY, _FEWEST, _MOST = 0.25, 30_000, 1_000_000
 
+#: Where fewer camera rays than this share of them make a ray, as many more are traced as it takes.
+_SPARSE = 0.25
+
 #: What a ray file holds.
 _ARRAYS = ("o", "d", "tmax", "viewpoint", "bounce", "source")
 #: Origins, directions, greatest distances and viewpoints of rays, and whether any hit ends them.
@@ -78,7 +81,7 @@ class FiniteOptions(Options):
     count: int = option(
         0,
         "camera rays whose hits send the rays that the tree is built for; 0: one for four "
-        "triangles, but 30,000 to a million",
+        "triangles, but 30,000 to a million, and more where most of them miss",
         0,
         MAX_SEGMENTS,
     )
@@ -144,6 +147,8 @@ def training_rays(
     trace = getattr(context.source, "few_rays", None)
     if trace is not None:
         rays = trace(count, options.seed, options.kind)
+        if not options.count and len(rays) < _SPARSE * count:
+            rays = trace(min(count * count // len(rays), _MOST), options.seed, options.kind)
         said = f"{options.kind} rays of {len(np.unique(rays.viewpoint))} viewpoints"
         return (rays.o, rays.d, rays.tmax, rays.viewpoint, rays.occlusion), said
     said = (
