@@ -17,6 +17,7 @@ from cuts import CUTS
 
 import mibvh
 import mibvh.mitsuba
+from mibvh.builders import registry
 from mibvh.cli import main
 from mibvh.mitsuba.accelerator import Accelerator
 from mibvh.mitsuba.costs import QUANTITIES, CostProbe, leaf_depths
@@ -467,6 +468,22 @@ def test_passes_share_the_records_and_not_with_another_geometry():
     moved = integrator.prepare(scene)[0]
     assert moved._records is not first._records
     assert moved.triangles.digest != first.triangles.digest
+
+
+def test_a_builder_registered_anew_builds_anew(monkeypatch):
+    monkeypatch.setattr(registry, "_registered", registry._registered.copy())
+    scene, built = stage(box=box({"type": "diffuse"}, 0.0)), []
+
+    for version in ("first", "second"):
+
+        @mibvh.builder("mine", summary="counts its builds")
+        def mine(triangles, options, context, version=version):
+            built.append(version)
+            return np.arange(len(triangles))
+
+        for _ in range(2):
+            Accelerator(scene, "mine")
+    assert built == ["first", "second"]
 
 
 def test_rays_are_those_of_diffuse_rays_and_shown_where_they_end(tmp_path):
