@@ -515,6 +515,20 @@ def test_rays_are_those_of_diffuse_rays_and_shown_where_they_end(tmp_path):
     )
 
 
+def test_rays_follow_a_camera_that_moves():
+    scene = mi.load_file(str(mibvh.bundled.bundled_scene("cornell@1000")), optimize=False)
+    how = {"width": 8, "height": 6, "samples": 1}
+    integrator = mi.load_dict({"type": "bvh_rays", **how})
+    first = integrator.prepare(scene)
+    assert integrator.prepare(scene) is first
+    params = mi.traverse(scene.sensors()[0])
+    move = mi.ScalarTransform4f().translate([0.1, 0, 0])
+    params["to_world"] = mi.Transform4f(move) @ params["to_world"]
+    params.update()
+    assert integrator.prepare(scene) is not first
+    assert integrator.rays.digest == mibvh.diffuse_rays(scene, **how).digest
+
+
 def test_density_of_ray_ends_is_relative_to_an_even_spread():
     """Rays straight down onto the left half of a square: twice as dense there, none elsewhere."""
     square = np.array([[[0, 0, 0], [2, 0, 0], [2, 1, 0]], [[0, 0, 0], [2, 1, 0], [0, 1, 0]]])
