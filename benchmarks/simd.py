@@ -15,27 +15,25 @@ holds them against the times of a study of the same scenes, on any machine and i
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from simd_measured import RUNS, WIDTHS, Row, measure_all, tree_of
+from simd_statistics import (
+    EQUATIONS,
+    F64,
+    Scenes,
+    centred,
+    explained,
+    interval,
+    pooled_r,
+    resampled,
+    share,
+    slope,
+    together,
+)
 
-F64 = npt.NDArray[np.float64]
-
-WIDTHS = (1, 4, 8, 16, 32, 64)
-#: Simulated executions: style, width, order of the rays.
-RUNS: dict[str, tuple[str, int, str]] = {
-    **{f"persistent {w}": ("persistent", w, "stored") for w in WIDTHS},
-    "persistent 32, random": ("persistent", 32, "random"),
-    "speculative 32": ("speculative", 32, "stored"),
-    "speculative 32, random": ("speculative", 32, "random"),
-    "while-while 32": ("while-while", 32, "stored"),
-    "single 32": ("single", 32, "stored"),
-    "single 16": ("single", 16, "stored"),
-}
 #: The kernels whose deviation from scalar cost is to be explained.
 KERNELS = (
     "persistent 32",
@@ -60,120 +58,6 @@ QUANTITIES = {
 }
 #: Those that are estimates of the deviation itself: nothing is fitted.
 ESTIMATES = ("cost_most", "cost_most_real", "rounds_fetch", "rounds_wait", "rounds_real")
-#: Products of quantities to powers: the slopes found over the scenes, rounded.
-EQUATIONS: dict[str, dict[str, float]] = {
-    "(std of cost / mean)^1/2": {"cost_cv": 0.5},
-    "(std of cost / mean)^1/2 x LCV^1/4": {"cost_cv": 0.5, "lcv": 0.25},
-}
-_RESAMPLED = 1000
-
-
-@dataclasses.dataclass
-class Row:
-    """One tree of one scene."""
-
-    scene: str
-    builder: str
-    triangles: int
-    rays: int
-    sah: float
-    epo: float
-    lcv: float
-    scalar: float
-    costs: dict[str, float]
-    utilisation: dict[str, float]
-    quantities: dict[str, float]
-
-
-# ------------------------------------------------------------ measuring
-
-
-def measure(scene: Any, builder: str, rays: Any, folder: Path | None) -> Row:
-    """Simulate all executions of one tree."""
-    import mibvh
-    from mibvh.metrics.points import estimate_epo
-    from mibvh.traversal import divergence
-    from mibvh.traversal.warp import ray_rounds, simulate
-
-    tree = tree_of(scene, builder, folder)
-    alone = simulate(tree, scene, rays, 1, "single")
-    cost = 1.2 * alone.inner + alone.tests
-    rounds = ray_rounds(tree, scene, rays)
-    stored = np.arange(len(rays), dtype=np.int32)
-    mean_leaves = float(alone.leaves.mean())
-    runs = {
-        name: simulate(tree, scene, rays, width, style, order=order)  # type: ignore[arg-type]
-        for name, (style, width, order) in RUNS.items()
-    }
-    for name, run in runs.items():
-        if (run.t != alone.t).any() or (run.triangle != alone.triangle).any():
-            raise SystemExit(f"{scene.name}, {builder}, {name}: hits differ from scalar ones")
-    return Row(
-        scene.name,
-        builder,
-        len(scene.triangles),
-        len(rays),
-        mibvh.sah(tree),
-        # From points: of trees that split triangles, too.
-        estimate_epo(tree, scene, 200_000).value,
-        alone.lcv,
-        alone.cost(),
-        {name: run.cost() for name, run in runs.items()},
-        {name: run.utilisation() for name, run in runs.items()},
-        {
-            "lcv": alone.lcv,
-            "lcv_mean": alone.lcv / mean_leaves,
-            "cost_cv": divergence.relative_deviation(cost),
-            "cost_within": divergence.within_packets(cost, 32),
-            "leaves_within": divergence.within_packets(alone.leaves, 32),
-            "leaves_most": divergence.expected_maximum(alone.leaves, 32),
-            "cost_most": divergence.expected_maximum(cost, 32),
-            "cost_most_real": divergence.packet_maximum(cost, 32),
-            "rounds_fetch": divergence.rounds_cost(rounds, 32, fetch=True) / alone.cost(),
-            "rounds_wait": divergence.rounds_cost(rounds, 32, fetch=False) / alone.cost(),
-            "rounds_real": divergence.rounds_cost(rounds, 32, fetch=False, dealt=stored)
-            / alone.cost(),
-        },
-    )
-
-
-def tree_of(scene: Any, builder: str, folder: Path | None) -> Any:
-    """Tree that was built before, or a new one."""
-    import mibvh
-
-    file = folder / scene.name / f"{builder}.npz" if folder else None
-    return mibvh.Tree.load(file) if file and file.exists() else mibvh.build(scene, builder)
-
-
-def rays_of(scene: Any, folder: Path | None, width: int) -> Any:
-    """Rays that were made before, or new ones."""
-    import mibvh
-
-    file = folder / scene.name / "rays160.npz" if folder else None
-    if file and file.exists():
-        return mibvh.RaySet.load(file)
-    return mibvh.diffuse_rays(scene, width=width, height=3 * width // 4, samples=1)
-
-
-def measure_all(
-    sources: list[str], builders: list[str], keep: Path, folder: Path | None, width: int
-) -> list[Row]:
-    """Measure the trees that are not in the file yet, and keep them."""
-    import mibvh
-    from mibvh.files import atomic_path
-
-    rows = [Row(**row) for row in json.loads(keep.read_text())] if keep.exists() else []
-    for source in sources:
-        scene, rays = mibvh.load(source), None
-        for builder in builders:
-            if any((row.scene, row.builder) == (scene.name, builder) for row in rows):
-                continue
-            rays = rays or rays_of(scene, folder, width)
-            rows.append(measure(scene, builder, rays, folder))
-            print(scene.name, builder, f"{rows[-1].costs['persistent 32']:.2f}", flush=True)
-            with atomic_path(keep) as temporary:
-                temporary.write_text(json.dumps([dataclasses.asdict(row) for row in rows]))
-    return rows
 
 
 def check(source: str, folder: Path | None) -> None:
@@ -215,98 +99,10 @@ def check(source: str, folder: Path | None) -> None:
     table(
         ["rays", *names(), "mean utilisation"],
         [
-            [way, *(f"{100 * d:+.1f}" for d in _centred(r)), f"{np.mean(1 / np.array(r)):.2f}"]
+            [way, *(f"{100 * d:+.1f}" for d in centred(r)), f"{np.mean(1 / np.array(r)):.2f}"]
             for way, r in ratios.items()
         ],
     )
-
-
-# ------------------------------------------------------------ analysis
-
-
-class Scenes:
-    """The measured trees, scene by scene."""
-
-    def __init__(self, rows: list[Row]) -> None:
-        rows_of = {row.scene: [r for r in rows if r.scene == row.scene] for row in rows}
-        most = max(map(len, rows_of.values()), default=0)
-        #: Only scenes of which all trees are measured.
-        self.rows = {name: trees for name, trees in rows_of.items() if len(trees) == most}
-        self.names = list(self.rows)
-
-    def deviation(self, kernel: str) -> list[F64]:
-        """Logarithm of SIMD over scalar cost, less the scene's mean: an array per scene."""
-        return [
-            _centred([row.costs[kernel] / row.scalar for row in self.rows[name]])
-            for name in self.names
-        ]
-
-    def quantity(self, name: str) -> list[F64]:
-        """Logarithm of a quantity, less the scene's mean."""
-        return [
-            _centred([row.quantities[name] for row in self.rows[scene]]) for scene in self.names
-        ]
-
-    def equation(self, name: str) -> list[F64]:
-        """Logarithm of a product of quantities to powers, less the scene's mean."""
-        terms = [
-            [power * x for x in self.quantity(quantity)]
-            for quantity, power in EQUATIONS[name].items()
-        ]
-        return [np.sum(scene, axis=0) for scene in zip(*terms, strict=True)]
-
-
-def _centred(values: list[float]) -> F64:
-    logarithms = np.log(values)
-    return logarithms - logarithms.mean()
-
-
-def pooled_r(x: list[F64], y: list[F64]) -> float:
-    """Pearson's r over all trees of all scenes."""
-    return float(np.corrcoef(np.concatenate(x), np.concatenate(y))[0, 1])
-
-
-def explained(x: list[F64], y: list[F64], fitted: bool = True) -> F64:
-    """(scenes, 2): squares of the deviation that are left, and all.
-
-    A scene's deviation is predicted by the quantity times a slope: that of the other scenes, or 1.
-    """
-    slopes = [slope([x], y, i)[0] if fitted else 1.0 for i in range(len(x))]
-    return np.array(
-        [(((v - b * u) ** 2).sum(), (v**2).sum()) for u, v, b in zip(x, y, slopes, strict=True)]
-    )
-
-
-def slope(columns: list[list[F64]], y: list[F64], without: int) -> F64:
-    """Slopes of some quantities together, by least squares over all scenes but one."""
-    others = [j for j in range(len(y)) if j != without]
-    xs = np.stack([np.concatenate([x[j] for j in others]) for x in columns], axis=1)
-    return np.linalg.lstsq(xs, np.concatenate([y[j] for j in others]), rcond=None)[0]
-
-
-def together(columns: list[list[F64]], y: list[F64]) -> list[F64]:
-    """Deviation that some quantities predict, each scene with the slopes of the others."""
-    return [np.stack([x[i] for x in columns], axis=1) @ slope(columns, y, i) for i in range(len(y))]
-
-
-def share(squares: F64) -> float:
-    """Share of the squared deviation that is explained."""
-    left, all_of_it = squares.sum(axis=0)
-    return float(1 - left / all_of_it)
-
-
-def interval(values: list[float]) -> str:
-    """The middle 95% of bootstrapped values."""
-    low, high = np.percentile(values, [2.5, 97.5])
-    return f"{low:+.2f} to {high:+.2f}"
-
-
-def resampled(count: int) -> npt.NDArray[np.int64]:
-    """Scenes drawn with replacement, many times."""
-    return np.random.default_rng(0).integers(0, count, (_RESAMPLED, count))
-
-
-# ------------------------------------------------------------ tables
 
 
 def table(headings: list[str], lines: list[list[str]]) -> None:
@@ -492,11 +288,13 @@ def timed(rows: list[Row], file: Path) -> None:
     """How well simulated cost foretells the SIMD times of a study, and what else does."""
     import pandas as pd
 
-    trees = pd.DataFrame([dataclasses.asdict(row) for row in rows])[["scene", "builder"]]
+    trees = pd.DataFrame({"scene": [r.scene for r in rows], "builder": [r.builder for r in rows]})
     times = pd.read_csv(file)[["scene", "builder", "scalar_ns", "simd_ns"]].dropna()
     found = trees.reset_index().merge(times, on=["scene", "builder"])
+    if found.empty:
+        raise SystemExit(f"{file}: no time of a tree that is measured here")
     parts = [part for _, part in found.groupby("scene", sort=False)]
-    y = [_centred(list(part.simd_ns / part.scalar_ns)) for part in parts]
+    y = [centred(list(part.simd_ns / part.scalar_ns)) for part in parts]
     print(f"\n## Against the SIMD times of {file}: {len(parts)} scenes, {len(found)} trees\n")
     sizes = [100 * np.abs(d) for d in y]
     mean, largest = (np.mean([f(d) for d in sizes]) for f in (np.mean, np.max))
@@ -506,7 +304,7 @@ def timed(rows: list[Row], file: Path) -> None:
     for kernel in kernels:
         costs = [[_cost(rows[i], kernel) for i in part["index"]] for part in parts]
         scalar = [[rows[i].scalar for i in part["index"]] for part in parts]
-        x = [_centred(list(np.divide(c, s))) for c, s in zip(costs, scalar, strict=True)]
+        x = [centred(list(np.divide(c, s))) for c, s in zip(costs, scalar, strict=True)]
         rs = [np.corrcoef(c, part.simd_ns)[0, 1] for c, part in zip(costs, parts, strict=True)]
         r = "" if kernel == "counted" else f"{pooled_r(x, y):.3f}"
         lines.append([kernel, f"{np.mean(rs):.4f}", f"{np.min(rs):.4f}", r])
@@ -527,7 +325,7 @@ def timed(rows: list[Row], file: Path) -> None:
     )
     lines = []
     for quantity, heading in QUANTITIES.items():
-        x = [_centred([rows[i].quantities[quantity] for i in part["index"]]) for part in parts]
+        x = [centred([rows[i].quantities[quantity] for i in part["index"]]) for part in parts]
         lines.append([heading, f"{pooled_r(x, y):.3f}", f"{share(explained(x, y)):.2f}"])
     table(["quantity", "r with the timed deviation, pooled", "explained, held out"], lines)
 
@@ -587,6 +385,8 @@ def main() -> None:
     scenes = Scenes(rows)
     if not scenes.names:
         raise SystemExit(f"nothing is measured in {arguments.keep}: name scenes")
+    if all(row.builder != "lbvh" for row in scenes.rows[scenes.names[0]]):
+        raise SystemExit("the tables are relative to lbvh: measure it, too")
     print(f"{len(scenes.names)} scenes, {sum(map(len, scenes.rows.values()))} trees")
     deviations(scenes)
     by_builder(scenes)

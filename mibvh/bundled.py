@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import sys
 from pathlib import Path
@@ -145,7 +146,18 @@ def bundled_scene(name: str, triangles: int | None = None, seed: int | None = No
     require_memory(count * BYTES["load"], f"{name}: its {count:,} triangles")
     label = base + (f"@{triangles}" if triangles else "") + (f"+{seed}" if seed is not None else "")
     target = cache_folder() / "scenes" / label
-    # scene.json is written last.
-    if (target / "scene.json").exists() and (target / "scene.xml").exists():
+    if _is_current(base, target):
         return target / "scene.xml"
     return make_scene(base, target, triangles, seed)
+
+
+def _is_current(name: str, target: Path) -> bool:
+    """Whether a cached folder is complete, and what this version of mibvh would write."""
+    package, template = scenes_package(), folder("scenes") / f"{name}.xml"
+    try:
+        # scene.json is written last.
+        record = json.loads((target / "scene.json").read_text(encoding="utf-8"))
+        same = (target / "scene.xml").read_bytes() == template.read_bytes()
+        return same and bool(record["generator_version"] == package.GENERATOR_VERSION)
+    except (OSError, ValueError, TypeError, KeyError):
+        return False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -12,6 +13,7 @@ from mibvh.mitsuba.coverage import Coverage, coverage_colours
 from mibvh.mitsuba.parameters import plain_variant, positive, refuse_unknown
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import load
+from mibvh.studies.measure.cameras import cameras
 from mibvh.variant import mitsuba
 
 
@@ -80,6 +82,8 @@ class BvhRays(mi.SamplingIntegrator):
         refuse_unknown(props, "bvh_rays")
         self.rays: RaySet | None = None
         self._coverage: Coverage | None = None
+        #: What the rays depend on besides the parameters: triangles and cameras.
+        self._depends: tuple[Any, ...] = ()
 
     @property
     def layers(self) -> list[str]:
@@ -96,12 +100,13 @@ class BvhRays(mi.SamplingIntegrator):
         loaded = load(scene)
         for note in loaded.notes:
             warnings.warn(note, stacklevel=2)
-        if self._coverage is None or self._coverage.digest != loaded.triangles.digest:
+        depends = loaded.triangles.digest, cameras(loaded)
+        if self._coverage is None or self._depends != depends:
             tell = (lambda done: progress("rays", done)) if progress else None
             self.rays = diffuse_rays(loaded, **self.how, progress=tell)
             if self.filename:
                 self.rays.save(self.filename)
-            self._coverage = Coverage(loaded, self.rays)
+            self._coverage, self._depends = Coverage(loaded, self.rays), depends
         return self._coverage
 
     def sample(self, scene, sampler, ray, medium=None, active=True):

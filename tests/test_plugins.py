@@ -17,6 +17,7 @@ from cuts import CUTS
 
 import mibvh
 import mibvh.mitsuba
+from mibvh.builders import registry
 from mibvh.cli import main
 from mibvh.mitsuba.accelerator import Accelerator
 from mibvh.mitsuba.costs import QUANTITIES, CostProbe, leaf_depths
@@ -469,6 +470,22 @@ def test_passes_share_the_records_and_not_with_another_geometry():
     assert moved.triangles.digest != first.triangles.digest
 
 
+def test_a_builder_registered_anew_builds_anew(monkeypatch):
+    monkeypatch.setattr(registry, "_registered", registry._registered.copy())
+    scene, built = stage(box=box({"type": "diffuse"}, 0.0)), []
+
+    for version in ("first", "second"):
+
+        @mibvh.builder("mine", summary="counts its builds")
+        def mine(triangles, options, context, version=version):
+            built.append(version)
+            return np.arange(len(triangles))
+
+        for _ in range(2):
+            Accelerator(scene, "mine")
+    assert built == ["first", "second"]
+
+
 def test_rays_are_those_of_diffuse_rays_and_shown_where_they_end(tmp_path):
     path = mibvh.bundled.bundled_scene("cornell@3000")
     scene = mi.load_file(str(path), optimize=False)
@@ -496,6 +513,20 @@ def test_rays_are_those_of_diffuse_rays_and_shown_where_they_end(tmp_path):
     assert mibvh.mitsuba.coverage_figure(channels, wanted).axes[0].get_title() == (
         f"all bounces: {len(wanted):,} rays"
     )
+
+
+def test_rays_follow_a_camera_that_moves():
+    scene = mi.load_file(str(mibvh.bundled.bundled_scene("cornell@1000")), optimize=False)
+    how = {"width": 8, "height": 6, "samples": 1}
+    integrator = mi.load_dict({"type": "bvh_rays", **how})
+    first = integrator.prepare(scene)
+    assert integrator.prepare(scene) is first
+    params = mi.traverse(scene.sensors()[0])
+    move = mi.ScalarTransform4f().translate([0.1, 0, 0])
+    params["to_world"] = mi.Transform4f(move) @ params["to_world"]
+    params.update()
+    assert integrator.prepare(scene) is not first
+    assert integrator.rays.digest == mibvh.diffuse_rays(scene, **how).digest
 
 
 def test_density_of_ray_ends_is_relative_to_an_even_spread():

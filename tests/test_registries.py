@@ -189,6 +189,12 @@ def test_no_two_quantities_of_one_name(added):
 # ------------------------------------------------------------------ predictors
 
 
+def test_no_two_predictors_of_one_name(added):
+    add_predictor(PREDICTOR)  # one's own may be replaced
+    with pytest.raises(mibvh.MibvhError, match="two predictors are called SAH"):
+        add_predictor(dataclasses.replace(PREDICTOR, name="SAH"))
+
+
 def test_weights_of_one_scene_predict_another():
     """What is fitted to some trees is applied to others by ``predict`` alone."""
     rng = np.random.default_rng(0)

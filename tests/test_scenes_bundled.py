@@ -16,6 +16,7 @@ if str(_ROOT) not in sys.path:
     sys.path.insert(0, str(_ROOT))
 
 import scenes  # noqa: E402
+from mibvh.bundled import bundled_scene  # noqa: E402
 
 _NAMES = list(scenes.CATALOGUE)
 
@@ -105,3 +106,24 @@ def test_written_folder_is_complete(tmp_path: Path) -> None:
         mesh = trimesh.load(tmp_path / "c" / "meshes" / f"{part}.ply", process=False)
         np.testing.assert_array_equal(np.asarray(mesh.vertices, dtype=np.float32), v)
         np.testing.assert_array_equal(mesh.faces, f)
+
+
+@pytest.mark.parametrize("stale", ["generator", "template", "record"])
+def test_a_cached_scene_of_another_version_is_generated_anew(tmp_path, monkeypatch, stale):
+    monkeypatch.setenv("MIBVH_CACHE", str(tmp_path))
+    xml = bundled_scene("cornell@1000")
+    mesh, record = next((xml.parent / "meshes").iterdir()), xml.parent / "scene.json"
+    fresh, template = mesh.read_bytes(), xml.read_bytes()
+    mesh.write_bytes(b"kept")
+    bundled_scene("cornell@1000")
+    assert mesh.read_bytes() == b"kept"
+    if stale == "generator":
+        older = json.loads(record.read_text()) | {"generator_version": 0}
+        record.write_text(json.dumps(older))
+    elif stale == "template":
+        xml.write_bytes(template + b"<!-- older -->")
+    else:
+        record.write_text("[]")
+    bundled_scene("cornell@1000")
+    assert mesh.read_bytes() == fresh
+    assert xml.read_bytes() == template

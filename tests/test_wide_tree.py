@@ -8,6 +8,8 @@ import pytest
 from conftest import soup
 
 import mibvh
+from mibvh.builders import registry
+from mibvh.builders.wide import build_wide
 from mibvh.collapsing import collapse, unfold
 from mibvh.metrics.sah import node_costs
 from mibvh.quantise import finest_step, grid, quantised
@@ -480,3 +482,14 @@ def test_leaves_made_of_several_hold_each_triangle_once(width):
     for n in np.flatnonzero(wide.is_leaf):
         held = wide.references[wide.first[n] :][: wide.count[n]]
         assert len(set(held.tolist())) == len(held)
+
+
+def test_a_users_wide_builder_that_makes_no_wide_tree_is_refused(monkeypatch):
+    monkeypatch.setattr(registry, "_registered", registry._registered.copy())
+
+    @mibvh.builder("mine", summary="forgets to return", wide=lambda triangles, options, width: None)
+    def mine(triangles, options, context):
+        return np.arange(len(triangles))
+
+    with pytest.raises(mibvh.MibvhError, match="builder mine made a NoneType for a wide tree"):
+        build_wide(soup(20), "mine", 4)

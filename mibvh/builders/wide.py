@@ -69,6 +69,8 @@ def build_wide(
     with entry.guard(entry.wide):
         tree = entry.wide(triangles, chosen, width)
     seconds = time.perf_counter() - started
+    if not isinstance(tree, WideTree):
+        raise MibvhError(f"builder {builder} made a {type(tree).__name__} for a wide tree")
     origin = origin_of(builder, chosen, triangles, {"references": len(tree.references)})
     meta = {**origin, "c_box": C_BOX, "build_seconds": seconds}
     tree = tree.replace(width=width, meta=meta)

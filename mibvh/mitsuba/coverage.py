@@ -37,7 +37,7 @@ class Coverage:
         from scipy.spatial import cKDTree
 
         mi = mitsuba()
-        self.scene, self.digest = scene, scene.triangles.digest
+        self.scene = scene
         ray = mi.Ray3f(mi.Point3f(rays.o.T), mi.Vector3f(rays.d.T))
         hit = scene.geometry.ray_intersect_preliminary(ray, coherent=False)
         t, valid = np.array(hit.t), np.array(hit.is_valid())

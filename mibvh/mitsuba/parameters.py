@@ -7,7 +7,7 @@ import functools
 from typing import Any
 
 from mibvh.builders import build
-from mibvh.builders.registry import get
+from mibvh.builders.registry import BuildFunction, get
 from mibvh.errors import MibvhError
 from mibvh.traversal.child_order import child_priority
 from mibvh.traversal.records import Layout, Records, make_records
@@ -38,7 +38,8 @@ class Builder:
 
         In the wide layout, children have an order for rays that any hit ends.
         """
-        key = (triangles.digest, self)
+        # A user's own builder may be registered anew under its name.
+        key = (triangles.digest, self, get(self.name).function)
         if key not in _trees:
             while len(_trees) >= _KEPT:
                 del _trees[next(iter(_trees))]
@@ -56,7 +57,9 @@ class Builder:
 
 
 #: Cached trees of the last renders: frames of an animation and passes of a render share them.
-_trees: dict[tuple[str, Builder], tuple[Tree, dict[tuple[str, Layout], Records]]] = {}
+_trees: dict[
+    tuple[str, Builder, BuildFunction], tuple[Tree, dict[tuple[str, Layout], Records]]
+] = {}
 _KEPT = 4
 
 

@@ -125,15 +125,25 @@ def add_predictor(predictor: Predictor) -> Predictor:
     """Register a predictor. All later studies evaluate and show it.
 
     Where it fails, it predicts NaN, and the study says why (:func:`faults`).
+
+    Raises
+    ------
+    MibvhError
+        If a bundled one has its name.
     """
+    if predictor.name in {bundled.name for bundled in _bundled()}:
+        raise MibvhError(f"two predictors are called {predictor.name}; rename your own")
     _added[predictor.name] = predictor
     return predictor
 
 
 def predictors() -> tuple[Predictor, ...]:
     """Return all predictors: the bundled ones, then the user's own in the order of addition."""
-    bundled = (p for name in _BUNDLED for p in importlib.import_module(name).PREDICTORS)
-    return (*bundled, *map(_forgiving, _added.values()))
+    return (*_bundled(), *map(_forgiving, _added.values()))
+
+
+def _bundled() -> list[Predictor]:
+    return [p for name in _BUNDLED for p in importlib.import_module(name).PREDICTORS]
 
 
 def faults(samples: Sequence[Sample], this: int) -> dict[str, MibvhError]:
