@@ -22,7 +22,7 @@ EXPERIMENTS  ?= prediction,depth,rotation,sensitivity
 RESULTS_OUT  ?= out/results
 RESULTS      ?=
 
-.PHONY: help study test test-fast test-lowest test-wheel lint docs fuzz results setup lock clean
+.PHONY: help study test test-fast coverage test-lowest test-wheel lint docs fuzz results setup lock clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' $(MAKEFILE_LIST) | awk -F': ' '{ printf "make %-12s %s\n", $$1, $$2 }'
@@ -35,6 +35,12 @@ test: setup ## Run all tests
 
 test-fast: setup ## Run the tests that take seconds (no studies, clusters, browsers, notebooks)
 	$(BIN)/python -m pytest -m fast -n $(WORKERS) --dist loadfile
+
+coverage: setup ## Run all tests, and list the lines of Python that none of them ran
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage report --skip-covered --show-missing
 
 test-lowest: ## Run some tests with the oldest dependencies that pyproject.toml allows
 	PYTHON=$(PYTHON) sh tools/test_lowest.sh

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from mibvh.studies.record.progress import LEFT_OUT, Progress
+from mibvh.studies.record.progress import LEFT_OUT, MISSING, Progress
 from mibvh.studies.report import board
 from mibvh.studies.report.board import Board
 
@@ -121,3 +121,38 @@ def test_scenes_that_are_left_out_are_over(capsys, clock):
     with Board(1, False) as shown:
         shown(Progress("two", "", LEFT_OUT, None, 1.0))
     assert capsys.readouterr().err == "two: left out (1 of 1)\n"
+
+
+def test_what_is_missing_is_told_at_once(capsys, clock):
+    """In lines, in words and between bars; it is no step, so that nothing begins anew."""
+    mine = Progress("one", "", MISSING, "mine", 0.0, missing="tree mine is missing: [no] luck")
+    gone = Progress("two", "", LEFT_OUT, None, 1.0, missing="left out: no camera")
+    steps = (STEPS[1], mine, mine, STEPS[2], gone)
+    with Board(2, True) as shown:
+        for step in steps:
+            shown(step)
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    told = [None, mine.missing, mine.missing, None, gone.missing]
+    assert [line["missing"] for line in lines] == told
+    assert lines[3]["done"] == 0.5
+    with Board(2, False) as shown:
+        for step in steps:
+            shown(step)
+    assert capsys.readouterr().err.splitlines() == [
+        "mibvh: one: tree mine is missing: [no] luck",
+        "mibvh: one: tree mine is missing: [no] luck",
+        "mibvh: two: left out: no camera",
+        "two: left out (1 of 2)",
+    ]
+
+
+def test_what_is_missing_is_told_beside_bars(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    screen = Terminal()
+    monkeypatch.setattr(board.sys, "stderr", screen)
+    with Board(1, False) as shown:
+        shown(Progress("one", "", MISSING, "mine", 0.0, missing="tree mine is missing: [no] luck"))
+    assert "one: tree mine is missing: [no] luck" in screen.getvalue()

@@ -153,8 +153,3 @@ def cost_over_best(records: Records) -> dict[str, F64]:
         if all(min(row.values()) > 0 for row in rows)
     }
     return dict(sorted(shares.items(), key=lambda item: float(item[1].mean())))
-
-
-def mean_cost_over_best(records: Records) -> dict[str, float]:
-    """Return the means of :func:`cost_over_best`."""
-    return {name: float(shares.mean()) for name, shares in cost_over_best(records).items()}

@@ -101,7 +101,8 @@ class Board:
         """Say what the study goes on without."""
         line = f"{step.scene}: {step.missing}"
         if self._lines:
-            self._write(step, _Left(None, None), now)
+            if step.stage == MISSING:  # the end of a scene has a line anyway
+                self._write(step, _Left(None, None), now)
         elif self._bars:
             self._bars.console.print(line, highlight=False, markup=False)
         else:
