@@ -22,7 +22,7 @@ EXPERIMENTS  ?= prediction,depth,rotation,sensitivity
 RESULTS_OUT  ?= out/results
 RESULTS      ?=
 
-.PHONY: help study test test-fast coverage test-lowest test-wheel lint docs fuzz results setup lock clean
+.PHONY: help study test test-fast coverage test-lowest test-wheel lint docs fuzz results bundled setup lock clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' $(MAKEFILE_LIST) | awk -F': ' '{ printf "make %-12s %s\n", $$1, $$2 }'
@@ -62,6 +62,9 @@ fuzz: setup ## Try hostile input for FUZZ_SECONDS from FUZZ_SEED
 
 results: setup ## Study SCENES=FOLDER of folders with a scene.xml; write docs/results, figures, quoted numbers
 	$(BIN)/python -m tools.results $(SCENES) -o $(RESULTS_OUT) --experiments $(EXPERIMENTS) $(RESULTS)
+
+bundled: setup ## Study all bundled scenes with all builders; write docs/results/bundled.md
+	$(BIN)/python -m tools.results.bundled -o out/bundled
 
 setup: $(VENV)/installed ## Make the environment, in .venv
 	@PYTHON=$(BIN)/python sh tools/ensure_llvm.sh

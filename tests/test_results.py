@@ -12,7 +12,7 @@ import mibvh
 from mibvh.errors import MibvhError
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.sheet import Column, Sheet
-from tools.results import blocks, quoted
+from tools.results import blocks, bundled, quoted
 from tools.results.__main__ import main
 from tools.results.pages import OLD, PAGES, marked_as_old, on_page
 from tools.results.study import scenes_of, stages
@@ -187,3 +187,18 @@ def test_it_goes_on_and_stops_when_the_time_is_out(made, capsys):
 def test_a_folder_of_nothing_is_a_sentence(tmp_path, capsys):
     assert main([str(tmp_path), "-o", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err.startswith(f"results: {tmp_path}: there is no folder")
+
+
+@pytest.mark.slow
+def test_the_page_of_bundled_scenes_holds_the_study(tmp_path):
+    (tmp_path / "docs/results").mkdir(parents=True)
+    few = ["--scenes", "cornell", "--triangles", "400", "--seconds", "0"]
+    assert bundled.main(["-o", str(tmp_path / "out"), "--docs", str(tmp_path), *few]) == 0
+    page = (tmp_path / "docs/results/bundled.md").read_text()
+    study = mibvh.studies.read_study(tmp_path / "out")
+    assert len(study.table) == 16
+    assert "| finite |" in page
+    assert "by kind of rays" in page
+    assert "8 children" in page
+    assert "none failed" in page
+    assert bundled.main(["-o", str(tmp_path / "o"), "--scenes", "cornel"]) == 2
