@@ -15,8 +15,10 @@ from mibvh.studies.report.drawing import INK, Drawing, Stroke, Words
 from mibvh.studies.report.layout import row_of_panels
 from mibvh.triangles import F64
 
-#: Values of r that are marked on their axis, and what an r of 1 is short of it there.
-_MARKED_R = (-0.5, 0.0, 0.5, 0.7, 0.9, 0.97, 0.99, 0.997, 0.999, 0.9997)
+#: Values of r that are marked on their axis where there is room, the first ones first; the points
+#: that a mark takes; and what an r of 1 is short of it there.
+_MARKED_R = (0.9, 0.99, 0.999, 0.0, 0.5, -0.5, 0.97, 0.997, 0.7, 0.9997)
+_ROOM = 30.0
 _LEAST = 1e-4
 #: Of the mean of points that are no builder's.
 _ACCENT = "#D55E00"
@@ -54,13 +56,20 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> Drawing:
             ticks=(False, False),
             margins=margins,
         )
-        for r in _MARKED_R:
-            if limits[1] <= 1 - r <= limits[0]:
-                panel.mark_across(1 - r, f"{r:g}")
+        _mark(panel, limits)
         for i, name in enumerate(names):
             of = shown[(shown["measurement"] == target.name) & (shown["predictor"] == name)]
             _summary_row(panel, of, name, i, target)
     return sheet
+
+
+def _mark(panel: Panel, limits: tuple[float, float]) -> None:
+    taken: list[float] = []
+    for r in _MARKED_R:
+        x = float(panel.x(1 - r))
+        if limits[1] <= 1 - r <= limits[0] and all(abs(x - other) > _ROOM for other in taken):
+            panel.mark_across(1 - r, f"{r:g}")
+            taken.append(x)
 
 
 def _short_of_one(r: F64) -> F64:
