@@ -216,9 +216,9 @@ def test_an_interrupted_study_says_that_it_goes_on(tmp_path):
 
 
 def test_compiling_is_told_apart_from_building(monkeypatch):
-    from mibvh.builders import registry
+    from mibvh.builders import building
 
-    monkeypatch.setattr(registry, "_warm", set())
+    monkeypatch.setattr(building, "_warm", set())
     seen = []
     for _ in range(2):
         mibvh.build(

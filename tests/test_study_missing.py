@@ -12,7 +12,7 @@ import pytest
 from conftest import soup
 
 import mibvh
-from mibvh.builders import registry
+from mibvh.builders import building, registry
 from mibvh.builders.draft import Draft
 from mibvh.cli import main
 from mibvh.metrics import registry as metric_registry
@@ -245,7 +245,7 @@ def test_a_bundled_builder_that_fails_is_a_loud_end(tmp_path, monkeypatch):
     broken.__module__ = registry.get("lbvh").function.__module__
     found = dataclasses.replace(registry.get("lbvh"), function=broken)
     monkeypatch.setitem(registry._registered, "lbvh", found)
-    monkeypatch.setattr(registry, "warm_up", lambda name, progress: None)
+    monkeypatch.setattr(building, "warm_up", lambda name, progress: None)
     with pytest.raises(ZeroDivisionError):
         mibvh.study([soup(40, size=0.5)], tmp_path, builders=("bbvh", "lbvh"), **CHOICES)
 

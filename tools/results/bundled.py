@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import mibvh
-from mibvh.builders import later_names, names
+from mibvh.builders import get, later_names, names
 from mibvh.bundled import scenes_package
 from mibvh.errors import MibvhError
 from mibvh.files import write_text
@@ -69,7 +69,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _study(chosen: argparse.Namespace) -> list[SceneRecord]:
     every = chosen.scenes.split(",") if chosen.scenes else list(scenes_package().CATALOGUE)
     options = StudyOptions(
-        builders=tuple(name for name in (*names(), *later_names()) if name not in _WITHOUT),
+        builders=tuple(
+            name
+            for name in (*names(), *later_names())
+            if get(name).bundled and name not in _WITHOUT
+        ),
         experiments=("prediction",),
         seconds=chosen.seconds,
         widths=_WIDTHS,
