@@ -52,8 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tools.results.bundled", description=__doc__)
     add = parser.add_argument
     add("-o", "--output", type=Path, required=True, help="folder of the study, kept")
-    add("--triangles", type=int, default=10_000, help="of each scene, about")
-    add("--seconds", type=float, default=1.0, help="stopwatch budget per lane mode")
+    add("--triangles", type=int, default=5_000, help="of each scene, about")
+    add("--seconds", type=float, default=0.5, help="stopwatch budget per lane mode")
     add("--scenes", default="", help="names, comma-separated; all by default")
     add("--docs", type=Path, default=ROOT, help="the checkout whose docs are written")
     chosen = parser.parse_args(arguments)
