@@ -238,12 +238,15 @@ class _Search:
             draft = self._moved(starts[name], self.roughly, measure)
             return _Tried(name, measure, draft, self.cost(draft, segments))
 
-        tried = [rough(name, measure) for name in starts]
-        best = min(tried, key=lambda found: found.cost)
-        area = min((t for t in tried if t.start.startswith("area")), key=lambda found: found.cost)
-        if area.cost < _NEARLY * best.cost:
+        best, area = rough("flux", measure), (np.inf, "")
+        for name in list(starts)[1:]:  # of the trees on the way only the best is kept
+            found = rough(name, measure)
+            if name.startswith("area"):
+                area = min(area, (found.cost, name))
+            best = min(best, found, key=lambda one: one.cost)
+        if area[0] < _NEARLY * best.cost:
             heavier = measure.with_weight(_HEAVIER * measure.area_weight)
-            best = min(best, rough(area.start, heavier), key=lambda found: found.cost)
+            best = min(best, rough(area[1], heavier), key=lambda one: one.cost)
         return best
 
     def _without_splits(self, found: _Tried, segments: Segments) -> _Tried:
