@@ -31,7 +31,7 @@ from mibvh.studies.analyse.winners import (
 )
 from mibvh.studies.record.sheet import Column, Sheet
 from mibvh.studies.report import tidy
-from mibvh.studies.report.agreement import multiples, together
+from mibvh.studies.report.agreement import limits_beside, multiples, scatter, together
 from mibvh.studies.report.answer import answer
 from mibvh.studies.report.axes import Axis, Panel
 from mibvh.studies.report.drawing import Dot, Drawing, Part, Stroke, Words
@@ -434,3 +434,16 @@ def test_one_scene_is_told_without_a_worst(small_study):
     claims = next(sheet for sheet in answers([record], of) if sheet.name == "claims")
     ours = "\n".join(claims.frame["ours"])
     assert not re.search(r"on average, [\d.]+ at worst|\b(\d\.\d\d) to \1\b", ours)
+
+
+def test_a_line_that_passes_the_panel_by_is_not_drawn():
+    """The dearest tree draws the fitted line away from the others, which fill the panel."""
+    values, measured = np.array([1.0, 2, 3, 2]), np.array([1.0, 1.01, 1.02, 100])
+    assert not together(measured).all()
+    sheet = Drawing(200, 160)
+    part = Part(0.0, 0.0, 200.0, 160.0)
+    panel = Panel(sheet, part, *limits_beside(values, measured))
+    before = sum(isinstance(mark, Stroke) for mark in sheet.marks)
+    scatter(panel, "abcd", values, measured, ["tip"] * 4)
+    assert sum(isinstance(mark, Stroke) for mark in sheet.marks) == before
+    assert sheet.svg(part).count("<g class") == 4

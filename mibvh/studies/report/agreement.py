@@ -188,7 +188,8 @@ def scatter(
         line = _line_through(np.stack([ends, base + slope * ends], axis=1))
         low, high = sorted((panel.y.low, panel.y.high))
         line = line[(line[:, 1] >= low) & (line[:, 1] <= high)]
-        panel.line(*line.T)
+        if len(line) > 1:  # beside the dearest tree it may pass the panel by
+            panel.line(*line.T)
     panel.dots(values, measured, names, tips, range(len(names)))
     if np.isfinite(measured).all():
         said = [name if of else "" for name, of in zip(names, near, strict=True)]

@@ -226,6 +226,8 @@ class Panel:
     def curve(self, x: npt.ArrayLike, y: npt.ArrayLike, owner: str, tip: str, i: int) -> None:
         """Draw the curve of a builder, of its colour and dashes."""
         known = np.isfinite(np.asarray(y, np.float64))
+        if not known.any():
+            return
         points = np.stack([self.x(np.asarray(x)[known]), self.y(np.asarray(y)[known])], axis=1)
         self.sheet.add(
             Stroke(
