@@ -10,7 +10,8 @@ import pytest
 
 import mibvh
 from mibvh.builders import names
-from mibvh.builders.finite import FiniteOptions
+from mibvh.builders.finite import FiniteOptions, finite
+from mibvh.builders.registry import Context
 from mibvh.errors import MibvhError
 
 FEW = {"count": 3000, "planes": 32}
@@ -212,6 +213,18 @@ def test_where_most_camera_rays_miss_more_are_traced():
     found = mibvh.build(soup, "finite").meta["report"]["ray_count"]
     assert found > 3 * len(few)
     assert mibvh.build(soup, "finite", count=30_000).meta["report"]["ray_count"] == len(few)
+
+
+def test_no_training_ray_at_all_is_a_sentence(scene):
+    class Dark:
+        """No vertex sends a ray, as where all lights are below the horizon."""
+
+        def few_rays(self, count, seed, kind):
+            rays = scene.few_rays(count, seed)
+            return rays.select(np.zeros(len(rays), bool))
+
+    with pytest.raises(MibvhError):
+        finite(scene.triangles, FiniteOptions(), Context(source=Dark()))
 
 
 def test_scenes_of_mixed_scale_give_the_area_more_weight():

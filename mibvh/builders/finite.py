@@ -147,7 +147,7 @@ def training_rays(
     trace = getattr(context.source, "few_rays", None)
     if trace is not None:
         rays = trace(count, options.seed, options.kind)
-        if not options.count and len(rays) < _SPARSE * count:
+        if not options.count and 0 < len(rays) < _SPARSE * count:
             rays = trace(min(count * count // len(rays), _MOST), options.seed, options.kind)
         said = f"{options.kind} rays of {len(np.unique(rays.viewpoint))} viewpoints"
         return (rays.o, rays.d, rays.tmax, rays.viewpoint, rays.occlusion), said
