@@ -27,7 +27,7 @@ import mibvh
 from mibvh.bundled import bundled_scene
 from mibvh.code import code_digest
 from mibvh.studies.ahead import METRICS, compile_part
-from mibvh.studies.report.html import _template
+from mibvh.studies.report.html import template
 from tools.fuzz.pieces import CHOICES, SCENE, known
 
 #: Seconds that a run may take that nobody kills.
@@ -44,7 +44,7 @@ class Kills:
         for part in (*CHOICES["builders"], METRICS):
             compile_part(part)
         code_digest("mibvh.studies.measure.scene")
-        _template()
+        template()
         bundled_scene(SCENE)
         self.truth, _, _ = self._finish(self.folder / "first")  # compiles what is left
         truth, self.seconds, self.changes = self._finish(self.folder / "whole")

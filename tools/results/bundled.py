@@ -23,7 +23,7 @@ from mibvh.studies.record.sheet import literal
 from mibvh.studies.report.answer import answer
 from mibvh.studies.report.board import Board
 from mibvh.studies.report.tables import answers
-from tools.results.pages import Page, on_page
+from tools.results.pages import Page, tables_of
 
 ROOT = Path(__file__).parents[2]
 #: Embree's is another library's, and not in every Mitsuba.
@@ -90,10 +90,7 @@ def page_text(records: Sequence[SceneRecord], chosen: argparse.Namespace) -> str
     machine = records[-1].environment
     command = f"python -m tools.results.bundled -o DIR --triangles {chosen.triangles}"
     lines = "\n".join(f"- {literal(line)}" for line in answer(records, found))
-    tables = "\n".join(
-        sheet.markdown().replace("### ", "## ", 1)
-        for sheet in on_page(PAGE, answers(records, found))
-    )
+    tables = tables_of(PAGE, answers(records, found))
     return (
         f"# {PAGE.title}\n\n{len(records)} scenes of about {chosen.triangles:,} triangles, "
         f"{len(records[0].trees)} trees each, by mibvh {machine['mibvh']} on {machine['cpu']}. "

@@ -77,6 +77,11 @@ def on_page(page: Page, sheets: Sequence[Sheet]) -> list[Sheet]:
     return found
 
 
+def tables_of(page: Page, sheets: Sequence[Sheet]) -> str:
+    """Return the tables of a page as Markdown, each under a heading of the second level."""
+    return "\n".join(re.sub("^###", "##", sheet.markdown()) for sheet in on_page(page, sheets))
+
+
 def page_text(page: Page, sheets: Sequence[Sheet], said: str) -> str:
     """Return a page.
 
@@ -88,10 +93,9 @@ def page_text(page: Page, sheets: Sequence[Sheet], said: str) -> str:
     said : str
         What was measured, when and where, in a sentence or two.
     """
-    tables = "\n".join(re.sub("^###", "##", s.markdown()) for s in on_page(page, sheets))
     return (
         f"# {page.title}\n\n{said} [results.md](../results.md) has the command and what the tables "
-        f"mean.\n\n{tables}"
+        f"mean.\n\n{tables_of(page, sheets)}"
     )
 
 

@@ -76,7 +76,8 @@ _THUMBNAIL = 320
 
 
 @functools.cache
-def _template() -> Any:
+def template() -> Any:
+    """Return the template of the page."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -129,7 +130,7 @@ def write_report(
     groups = {title: [s for s in sheets if s.section == title] for title in titles}
     main = _main_predictor(correlations)
     claims = groups.get(CLAIMS, [])
-    page = _template().render(
+    page = template().render(
         builders=_builders(records),
         left_out=left_out,
         missing=missing(records),
