@@ -35,6 +35,7 @@ __all__ = [
     "scene_name",
     "shape_key",
     "shape_kind",
+    "with_cameras_of",
     "with_defines",
 ]
 
@@ -127,6 +128,19 @@ def mitsuba_mesh(triangles: Triangles) -> Any:
     params["faces"] = mi.UInt32(np.arange(3 * count, dtype=np.uint32))
     params.update()
     return mesh
+
+
+def with_cameras_of(triangles: Triangles, scene: Any) -> Scene:
+    """Make a scene of triangles, with the cameras and the lights of a Mitsuba scene.
+
+    Parameters
+    ----------
+    triangles : Triangles
+    scene : mitsuba.Scene
+        Where it has no camera, viewpoints are chosen.
+    """
+    sensors = [sensor for sensor in scene.sensors() if makes_rays(sensor)]
+    return _with_viewpoints(Scene(triangles.name, triangles, sensors, scene))
 
 
 def load(source: Any, defines: dict[str, Any] | None = None) -> Scene:

@@ -83,7 +83,7 @@ class BvhCost(mi.SamplingIntegrator):
         loaded = load(scene)
         for note in loaded.notes:
             warnings.warn(note, stacklevel=2)
-        built = [builder.build(loaded.triangles, progress) for builder in self.builders]
+        built = [builder.build(loaded, progress) for builder in self.builders]
         return [CostProbe(tree, loaded.triangles, self.cull, records) for tree, records in built]
 
     def sample(self, scene, sampler, ray, medium=None, active=True):

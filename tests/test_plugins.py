@@ -486,6 +486,24 @@ def test_a_builder_registered_anew_builds_anew(monkeypatch):
     assert built == ["first", "second"]
 
 
+@pytest.mark.parametrize("builder", ["finite", "bittner"])
+def test_a_builder_that_asks_for_rays_gets_those_of_the_cameras(builder):
+    """A render's tree is the one that `mibvh build` makes; a camera elsewhere makes another."""
+    scene = mi.load_file(str(mibvh.bundled.bundled_scene("cornell@3000")), optimize=False)
+    options = {"start": "finite"} if builder == "bittner" else {}
+    first = Accelerator(scene, builder, **options)
+    assert first.tree.digest == mibvh.build(mibvh.load(scene), builder, **options).digest
+    assert Accelerator(scene, builder, **options).tree is first.tree
+    if builder == "finite":
+        assert first.tree.meta["report"]["rays"].startswith("diffuse rays of ")
+    plain = Accelerator(scene, "lbvh").tree
+    params = mi.traverse(scene.sensors()[0])
+    params["to_world"] = params["to_world"] @ mi.ScalarTransform4f().translate([0.1, 0, 0.3])
+    params.update()
+    assert Accelerator(scene, builder, **options).tree.digest != first.tree.digest
+    assert Accelerator(scene, "lbvh").tree is plain
+
+
 def test_rays_are_those_of_diffuse_rays_and_shown_where_they_end(tmp_path):
     path = mibvh.bundled.bundled_scene("cornell@3000")
     scene = mi.load_file(str(path), optimize=False)

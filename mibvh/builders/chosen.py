@@ -46,6 +46,12 @@ class Chosen:
             return self.builder
         return f"{self.builder}({','.join(f'{k}={_text(v)}' for k, v in self.options)})"
 
+    @property
+    def asks_scene(self) -> bool:
+        """Whether the tree may depend on more of a scene than the triangles."""
+        made_by = (self.builder, *(name for name, _ in self.starts()))
+        return any(get(name).asks_scene for name in made_by)
+
     def starts(self) -> frozenset[tuple[str, Options]]:
         """Return the builders of the tree that this one starts from, and that one from, and so on.
 

@@ -10,7 +10,7 @@ import numpy as np
 from mibvh.errors import MibvhError
 from mibvh.mitsuba.parameters import Builder
 from mibvh.rays.origins import clear_origin, onto_plane
-from mibvh.scene import mesh_corners, shape_key, shape_kind
+from mibvh.scene import mesh_corners, shape_key, shape_kind, with_cameras_of
 from mibvh.traversal.kernel import walk
 from mibvh.traversal.records import ROW, own_memory
 from mibvh.traversal.wide import walk_wide_lanes
@@ -75,8 +75,11 @@ class Accelerator:
         parts = [mesh_corners(shape) for shape in meshes]
         self.triangles = Triangles(np.concatenate(parts), "scene")
         self.tree: Tree
-        self.tree, self._records = Builder(builder, tuple(sorted(options.items()))).build(
-            self.triangles, progress, "wide" if style == "wide" else "binary"
+        chosen = Builder(builder, tuple(sorted(options.items())))
+        self.tree, self._records = chosen.build(
+            with_cameras_of(self.triangles, scene) if chosen.asks_scene else self.triangles,
+            progress,
+            "wide" if style == "wide" else "binary",
         )
         # -- from triangle ids to Mitsuba's shapes and primitives, and to corners
         counts = [len(part) for part in parts]

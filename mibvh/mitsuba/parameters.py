@@ -7,13 +7,16 @@ import functools
 from typing import Any
 
 from mibvh.builders import build
+from mibvh.builders.chosen import Chosen
 from mibvh.builders.registry import BuildFunction, get
 from mibvh.errors import MibvhError
+from mibvh.scene import Scene
+from mibvh.studies.measure.cameras import cameras
 from mibvh.traversal.child_order import child_priority
 from mibvh.traversal.records import Layout, Records, make_records
 from mibvh.traversal.wide_rows import as_wide
 from mibvh.tree import Tree
-from mibvh.triangles import Triangles
+from mibvh.triangles import Triangles, as_triangles
 from mibvh.variant import mitsuba
 from mibvh.wide_tree import WideTree
 
@@ -31,19 +34,34 @@ class Builder:
     name: str
     options: tuple[tuple[str, Any], ...] = ()
 
+    @property
+    def asks_scene(self) -> bool:
+        """Whether the tree may depend on more of a scene than the triangles."""
+        return Chosen(self.name, self.options).asks_scene
+
     def build(
-        self, triangles: Triangles, progress: Any = None, layout: Layout = "binary"
+        self, scene: Scene | Triangles, progress: Any = None, layout: Layout = "binary"
     ) -> tuple[Tree, Records]:
         """Build the tree and its records in a layout, or return cached ones.
 
         In the wide layout, children have an order for rays that any hit ends.
+
+        Parameters
+        ----------
+        scene : Scene or Triangles
+            A scene where :attr:`asks_scene`: the builder gets rays of its cameras.
+        progress : callable, optional
+            Called as ``progress(stage, done)``.
+        layout : "binary" or "wide"
         """
+        triangles = as_triangles(scene)
+        seen_from = cameras(scene) if isinstance(scene, Scene) and self.asks_scene else []
         # A user's own builder may be registered anew under its name.
-        key = (triangles.digest, self, get(self.name).function)
+        key = (triangles.digest, self, get(self.name).function, str(seen_from))
         if key not in _trees:
             while len(_trees) >= _KEPT:
                 del _trees[next(iter(_trees))]
-            _trees[key] = build(triangles, self.name, progress=progress, **dict(self.options)), {}
+            _trees[key] = build(scene, self.name, progress=progress, **dict(self.options)), {}
         tree, records = _trees[key]
         # Records are in the memory of the variant's backend.
         kind = (mitsuba().variant(), layout)
@@ -58,7 +76,7 @@ class Builder:
 
 #: Cached trees of the last renders: frames of an animation and passes of a render share them.
 _trees: dict[
-    tuple[str, Builder, BuildFunction], tuple[Tree, dict[tuple[str, Layout], Records]]
+    tuple[str, Builder, BuildFunction, str], tuple[Tree, dict[tuple[str, Layout], Records]]
 ] = {}
 _KEPT = 4
 

@@ -71,7 +71,7 @@ class TreeSource:
         code = [get(name).code() for name in made_by]
         if None in code:
             return None
-        asks = any(get(name).asks_scene for name in made_by)
+        asks = self.chosen.asks_scene
         return key_of(
             *(["mibvh.rays.diffuse"] if asks else []),
             digest=scene.triangles.digest,
