@@ -91,7 +91,6 @@ class Experiment:
     figures: Callable[[SceneRecord], Iterable[tuple[str, str, Any]]] = _nothing
     audits: Callable[[SceneRecord], Iterable[tuple[str, Sequence[Check]]]] = _nothing
 
-
     def found(self, setting: Any, report: Callable[..., None]) -> Result:
         """Measure a scene.
 
