@@ -1,3 +1,4 @@
+import importlib
 import json
 import os
 import subprocess
@@ -164,6 +165,27 @@ def test_a_plugin_may_import_its_neighbours(cli, tmp_path):
     code, out, _ = cli("--plugin", tmp_path / "house.py", "builders", "--json")
     assert code == 0
     assert "from_next_door" in [b["name"] for b in json.loads(out)["builders"]]
+
+
+@pytest.mark.parametrize("name", ["random", "numpy", "graphlib"])
+def test_a_plugin_may_be_called_as_a_module_of_others(cli, tmp_path, name):
+    """Whoever imports that gets the module meant, imported before or not."""
+    before = sys.modules.get(name)
+    (tmp_path / f"{name}.py").write_text(
+        "from __future__ import annotations\n"
+        "import dataclasses, mibvh, numpy as np\n"
+        "@dataclasses.dataclass(frozen=True, kw_only=True)\n"
+        "class Own(mibvh.Options):\n"
+        "    pairs: int = mibvh.option(2, 'of them')\n"
+        f"@mibvh.builder('by {name}', options=Own)\n"
+        "def build(triangles, options, context):\n"
+        "    return np.arange(len(triangles))\n"
+    )
+    code, out, _ = cli("--plugin", tmp_path / f"{name}.py", "builders", "--json")
+    assert code == 0
+    assert f"by {name}" in [b["name"] for b in json.loads(out)["builders"]]
+    assert sys.modules.get(name) is before
+    assert importlib.import_module(name).__file__ != str(tmp_path / f"{name}.py")
 
 
 @pytest.mark.parametrize(

@@ -283,6 +283,16 @@ def test_optimize_measures_with_rays_of_another_seed(monkeypatch, tmp_path):
         assert len(np.unique(rays, axis=0)) == len(rays)
 
 
+def test_optimize_measures_with_enough_rays():
+    """What is small on the film makes few rays, and these would choose a tree by chance."""
+    far = np.concatenate([mibvh.load("cornell@500").triangles.corners, np.zeros((1, 3, 3))])
+    far[-1] = [[0, 0, 30], [0.1, 0, 30], [0, 0.1, 30]]  # the orbit is around all of it
+    scene = mibvh.load(far.astype(np.float32))
+    few = mibvh.diffuse_rays(scene, width=120, height=90, samples=1, seed=1)
+    assert 0 < len(few) < 2500
+    assert 5000 <= mibvh.optimize(scene, **FEW).rays < 10_000
+
+
 def test_optimize_asks_rays_of_the_kind_that_it_builds_for():
     scene = mibvh.load("cornell@500")
     found = mibvh.optimize(scene, kind="shadow", **FEW)

@@ -307,6 +307,28 @@ def test_any_hit_walk_counts_what_the_kernel_counts(split_tree, cornell, kind):
     assert ratio == pytest.approx(1.0, rel=0.01)
 
 
+@pytest.mark.parametrize("any_hit", [False, True])
+@pytest.mark.parametrize("farthest", [np.inf, 0.3])
+def test_segments_that_leave_the_scene_at_once_keep_their_direction(any_hit, farthest):
+    """From a sheet that is a side of the scene's box, they end where they start, but for 1e-8."""
+    rng = np.random.default_rng(0)
+    corners = rng.random((300, 3, 3)).astype(np.float32)
+    corners[:150, :, 2] = 0.0
+    corners[:, :, 2] += 1000  # float32 has steps of 6e-5 there
+    triangles = mibvh.Triangles(corners)
+    tree = mibvh.build(triangles, "bbvh")
+    o = np.hstack([rng.random((500, 2)), np.full((500, 1), np.nextafter(np.float32(1000), 0))])
+    d = rng.normal(size=(500, 3)) * [1, 1, 0.05]
+    d[:, 2] = -abs(d[:, 2])
+    d[:100, 2] *= -1
+    o, d, tmax = o.astype(np.float32), d.astype(np.float32), np.full(500, farthest, np.float32)
+    cut = cut_at_hits(tree, triangles, o, d, tmax, np.zeros(500, np.int32), any_hit)
+    _, visits = walk(tree, triangles, o, d, tmax, any_hit)
+    for some in (slice(None), slice(5, 300, 3)):
+        cost = counted_cost(tree, triangles, cut.select(some), 1.2, 1.0)
+        assert cost == pytest.approx((visits[some] * [1.2, 1.0]).sum(axis=1).mean(), rel=1e-3)
+
+
 def test_rays_that_are_no_numbers_make_no_segments(split_tree, cornell):
     tree, rays = split_tree
     o = rays.o.copy()

@@ -20,6 +20,10 @@ from mibvh.metrics.predictors import Predictor, add_predictor
 from mibvh.metrics.predictors import registry as predictor_registry
 from mibvh.metrics.registry import Metric, Quantity, add_metric
 from mibvh.studies.measure.rotation import RotationResult
+from mibvh.studies.record import experiment as experiments
+from mibvh.studies.record.experiment import Experiment
+from mibvh.studies.record.options import EXPERIMENTS
+from mibvh.studies.record.scene import Result
 from mibvh.studies.run import read_study, remake_report
 
 CHOICES = {"width": 24, "height": 16, "scalar_rays": 256, "seconds": 0.0}
@@ -213,6 +217,76 @@ def test_the_next_run_tries_it_again(own, tmp_path):
     assert found[1].missing == found[2].missing == []
     assert calls == [40, 40]  # a tree that was built is kept
     assert found[1].scenes[0].reused["trees"] == 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Leaves(Result, experiment="own leaves"):
+    leaves: list[int]
+
+
+def _raised(setting, report):
+    raise KeyError("no leaves")
+
+
+@pytest.fixture
+def experiment(monkeypatch):
+    """Register an experiment of the user's for one test: called with what measures or shows it."""
+    monkeypatch.setattr(experiments, "_experiments", dict(experiments._experiments))
+    monkeypatch.setitem(EXPERIMENTS, "own leaves", "")
+
+    def register(**functions):
+        experiments.add_experiment(Experiment(name="own leaves", summary="", **functions))
+
+    return register
+
+
+@pytest.mark.parametrize(
+    ("measure", "why"),
+    [
+        (_raised, "KeyError: 'no leaves'"),
+        (lambda setting, report: None, "it returns a NoneType"),
+        (lambda setting, report: Leaves(np.arange(3)), "ndarray is not JSON serializable"),
+        (lambda setting, report: Leaves(["a"]), "'a' is no"),
+    ],
+)
+def test_an_experiment_is_missing_of_the_scenes_that_it_fails_at(
+    experiment, tmp_path, measure, why
+):
+    def some(setting, report):
+        return Leaves([3]) if len(setting.scene.triangles) == 60 else measure(setting, report)
+
+    experiment(measure=some)
+    scenes = [soup(40, size=0.5), soup(60, size=0.5)]
+    asked = {"builders": "bbvh", "experiments": ("prediction", "own leaves"), **CHOICES}
+    found = mibvh.study(scenes, tmp_path, **asked)
+    assert [record.scene for record in found.scenes] == [BAD, GOOD]
+    assert [(scene, one.what) for scene, one in found.missing] == [(BAD, "experiment own leaves")]
+    said = found.missing[0][1].why
+    assert "experiment own leaves failed: " in said
+    assert "test_study_missing.py" in said
+    assert why in said
+    assert found.scenes[1].result(Leaves).leaves == [3]
+    assert read_study(tmp_path).missing == found.missing
+    experiment(measure=lambda setting, report: Leaves([4]))
+    mended = mibvh.study(scenes, tmp_path, **asked)
+    assert mended.missing == []
+    assert [record.result(Leaves).leaves for record in mended.scenes] == [[4], [4]]
+
+
+@pytest.mark.parametrize("part", ["rows", "sheets", "claims", "figures", "audits"])
+def test_what_shows_an_experiment_fails_in_one_sentence(experiment, tmp_path, part):
+    def shows(*_):
+        yield from ()
+        raise IndexError("nothing to show")
+
+    asked = {"builders": "bbvh", "experiments": ("prediction", "own leaves"), **CHOICES}
+    experiment(measure=lambda setting, report: Leaves([3]), **{part: shows})
+    with pytest.raises(mibvh.MibvhError) as caught:
+        mibvh.study(soup(40, size=0.5), tmp_path, **asked)
+    assert f"experiment own leaves: {part} failed: " in str(caught.value)
+    assert "IndexError: nothing to show" in str(caught.value)
+    experiment(measure=lambda setting, report: Leaves([3]))
+    assert remake_report(tmp_path).scenes[0].result(Leaves).leaves == [3]
 
 
 def test_a_scene_without_any_tree_is_left_out(own, tmp_path):

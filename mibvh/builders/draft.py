@@ -225,7 +225,7 @@ def _ids(value: Any) -> npt.NDArray[np.int64]:
     except (ValueError, TypeError, RecursionError):
         ids = np.empty(0)
     if ids.ndim > 1 or len(ids) == 0 or ids.dtype.kind not in "iu":
-        said = repr(value)
+        said = " ".join(repr(value).split())
         said = said if len(said) < 80 else f"{said[:77]}..."
         raise MibvhError(f"a leaf must be the ids of triangles, not {said}")
     return ids.astype(np.int64)

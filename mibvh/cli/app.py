@@ -80,19 +80,22 @@ def _print_version(asked: bool) -> None:
 
 def _load_plugin(path: Path) -> None:
     """Run a Python file that registers builders."""
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    # It may be called random.py: others that import random get the module they mean.
+    taken = path.stem in sys.modules or path.stem in sys.stdlib_module_names
+    name = f"mibvh_plugin_{path.stem}" if taken else path.stem
+    spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None or not path.exists():
         raise MibvhError(f"--plugin {path}: there is no such Python file")
     folder = str(path.resolve().parent)
     if folder not in sys.path:
         sys.path.append(folder)  # its neighbours; last, so that they hide nothing
     module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
+    sys.modules[name] = module
     try:
         with users_code("--plugin ", str(path)):
             spec.loader.exec_module(module)
     except MibvhError:
-        del sys.modules[path.stem]
+        del sys.modules[name]
         raise
 
 

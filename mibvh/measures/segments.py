@@ -23,8 +23,11 @@ class Segments:
         The camera that the ray's path began at; 0 where there is none.
     any_hit : bool
         Whether the first hit that is found ends a ray. Such segments are not cut.
+    direction : (R, 3) float, optional
+        Where a ray goes; by default from its start to its end. Float32 rounds an end that is next
+        to its start.
     reach : (R,) float64, optional
-        How far a ray looks for a hit, in lengths of its segment, 1 or more; by default for ever.
+        How far a ray looks for a hit, in lengths of its direction; by default for ever.
 
     Raises
     ------
@@ -36,6 +39,7 @@ class Segments:
     end: F32
     viewpoint: I32
     any_hit: bool = False
+    direction: F32 | F64 | None = None
     reach: F64 | None = None
 
     def __post_init__(self) -> None:
@@ -43,6 +47,8 @@ class Segments:
             raise MibvhError(f"segments start at (R, 3) points, not {self.start.shape}")
         if self.end.shape != self.start.shape or self.viewpoint.shape != self.start.shape[:1]:
             raise MibvhError("segments need as many ends and viewpoints as starts")
+        if self.direction is not None and self.direction.shape != self.start.shape:
+            raise MibvhError("segments need as many directions as starts")
         if self.reach is not None and self.reach.shape != self.start.shape[:1]:
             raise MibvhError("segments need as many reaches as starts")
         if len(self.start) == 0:
@@ -65,5 +71,6 @@ class Segments:
             start=self.start[chosen],
             end=self.end[chosen],
             viewpoint=self.viewpoint[chosen],
+            direction=None if self.direction is None else self.direction[chosen],
             reach=None if self.reach is None else self.reach[chosen],
         )

@@ -209,10 +209,8 @@ def cut_at_hits(
         hit, _ = walk(tree, triangles, o, along, limit)
         t = np.where(np.isfinite(hit), hit, t)
     end = (o + along * t[:, None]).astype(np.float32)
-    if any_hit or not np.isfinite(limit).any():
-        return Segments(o, end, viewpoint, any_hit)
-    reach = np.divide(limit, t, out=np.full(len(t), np.inf), where=t > 0)
-    return Segments(o, end, viewpoint, any_hit, np.maximum(reach, 1.0))
+    reach = t if any_hit else limit if np.isfinite(limit).any() else None
+    return Segments(o, end, viewpoint, any_hit, d[sound], reach)
 
 
 def counted_cost(
@@ -221,13 +219,14 @@ def counted_cost(
     """Mean cost of segments in a tree: ``c_inner`` per inner node, ``c_tri`` per triangle.
 
     Segments go on beyond their ends up to their reach, as the traversal does not know the hit
-    beforehand; those that any hit ends do not.
+    beforehand; those that any hit ends do not, where no reach is given.
     """
-    d = segments.end.astype(np.float64) - segments.start
-    still = (d == 0).all(axis=1)
-    d[still, 0] = 1e-30
-    tmax = np.full(len(d), 1.0 if segments.any_hit else np.inf)
-    if segments.reach is not None:
-        tmax = segments.reach
+    d: F32 | F64 | None = segments.direction
+    if d is None:
+        d = segments.end.astype(np.float64) - segments.start
+        d[(d == 0).all(axis=1), 0] = 1e-30
+    tmax = segments.reach
+    if tmax is None:
+        tmax = np.full(len(d), 1.0 if segments.any_hit else np.inf)
     _, visits = walk(tree, triangles, segments.start, d, tmax, segments.any_hit)
     return float((visits * np.array([c_inner, c_tri])).sum(axis=1).mean())

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from mibvh.code import code_digest
 from mibvh.environment import environment
-from mibvh.errors import MibvhError
+from mibvh.errors import MibvhError, TreeFailed
 from mibvh.memory import COMPILED, used_memory
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene
@@ -96,7 +96,10 @@ def study_scene(
         part = reporter.of(experiment.name, *shares[experiment.name])
         if experiment.measure is not None:
             with peaks.of(experiment.name):
-                results[experiment.name] = experiment.measure(setting, part)
+                try:
+                    results[experiment.name] = experiment.found(setting, part)
+                except TreeFailed as error:
+                    reporter.missing(f"experiment {experiment.name}", error)
         seconds[experiment.name] = sum(store.spent.values())
         reused[experiment.name] = store.reused.total()
     listener(Progress(scene.name, "", "done", None, 1.0))

@@ -8,16 +8,19 @@ how that is shown. A new one is one file with an :class:`Experiment`, and one li
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import pandas as pd
 
 from mibvh.audit.record import Check
+from mibvh.errors import guard, is_bundled, of_one_tree
 from mibvh.metrics.registry import Quantity
 from mibvh.studies.record.claim import Claim
 from mibvh.studies.record.options import EXPERIMENTS
 from mibvh.studies.record.scene import Records, Result, SceneRecord
+from mibvh.studies.record.serialise import from_json, to_json
 from mibvh.studies.record.sheet import Sheet
 
 
@@ -87,6 +90,40 @@ class Experiment:
     claims: Callable[[Records, pd.DataFrame], Iterable[Claim]] = _nothing
     figures: Callable[[SceneRecord], Iterable[tuple[str, str, Any]]] = _nothing
     audits: Callable[[SceneRecord], Iterable[tuple[str, Sequence[Check]]]] = _nothing
+
+    def found(self, setting: Any, report: Callable[..., None]) -> Result:
+        """Measure a scene.
+
+        Raises
+        ------
+        TreeFailed
+            If one of the user's own fails, or returns what cannot be kept as its result.
+        """
+        assert self.measure is not None
+        if is_bundled(self.measure):
+            return self.measure(setting, report)
+        with of_one_tree(), guard(f"experiment {self.name}", self.measure):
+            result = self.measure(setting, report)
+            kind = Result.kinds.get(self.name)
+            if kind is None or not isinstance(result, kind):
+                raise TypeError(
+                    f"it returns a {type(result).__name__}, and no dataclass that inherits from "
+                    f"Result with experiment={self.name!r}"
+                )
+            from_json(kind, json.loads(json.dumps(to_json(result))))  # as it will be kept
+        return result
+
+    def shown(self, part: str, *of: Any) -> list[Any]:
+        """Return all that one of the functions yields, such as ``sheets``.
+
+        Raises
+        ------
+        MibvhError
+            If one of the user's own fails.
+        """
+        function = getattr(self, part)
+        with guard(f"experiment {self.name}: {part}", function):
+            return list(function(*of))
 
 
 _experiments: dict[str, Experiment] = {}

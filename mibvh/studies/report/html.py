@@ -325,7 +325,7 @@ def _figures(record: SceneRecord) -> Iterator[tuple[str, str, Any]]:
     if depth := record.result(DepthResult):
         yield "remaining", _CAPTIONS["remaining"], plots.remaining(record, depth)
     for experiment in experiments():
-        yield from experiment.figures(record)
+        yield from experiment.shown("figures", record)
     for sweep in sweeps(record):
         name = f"sweep-{sweep.builder}-{sweep.option}"
         yield name, f"{sweep.name}: cost against {sweep.option}.", plots.swept(sweep)

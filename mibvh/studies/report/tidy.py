@@ -69,7 +69,7 @@ def _of_scene(record: SceneRecord, known: dict[str, Quantity]) -> Iterator[dict[
     """Yield the rows of a scene; what they share is made once, as there are thousands."""
     common, rays = _common(record), _rays(record)
     for experiment in experiments():
-        for tidy in experiment.rows(record):
+        for tidy in experiment.shown("rows", record):
             yield from _rows(record, tidy, known, common, {**rays, **tidy.rays})
 
 

@@ -22,7 +22,7 @@ def claims(records: Records, correlations: pd.DataFrame) -> pd.DataFrame:
     DataFrame
         Columns ``claim, held, paper, ours, judged by``; topic by topic.
     """
-    judged = [claim for e in experiments() for claim in e.claims(records, correlations)]
+    judged = [claim for e in experiments() for claim in e.shown("claims", records, correlations)]
     return pd.DataFrame(
         [
             {

@@ -31,7 +31,7 @@ def answers(records: Records, correlations: pd.DataFrame) -> list[Sheet]:
         *prediction_sheets(records, correlations),
         *warp_sheets(records),
         *builder_sheets(records),
-        *(sheet for experiment in experiments() for sheet in experiment.sheets(records)),
+        *(sheet for experiment in experiments() for sheet in experiment.shown("sheets", records)),
         *step_sheets(records),
         *instrument_sheets(records, correlations),
         *audit_sheets(records),

@@ -39,7 +39,7 @@ def audits(record: SceneRecord) -> list[tuple[str, Sequence[Check]]]:
     if rotation := record.result(RotationResult):
         found += [(f"{tree.builder} (rotated)", tree.audit) for tree in rotation.trees]
     for experiment in experiments():
-        found += experiment.audits(record)
+        found += experiment.shown("audits", record)
     return found
 
 
