@@ -192,7 +192,7 @@ def report(
     as_json: Json = False,
 ) -> None:
     """Remake a study's tables and report without measuring again."""
-    from mibvh.studies.run import remake_report
+    from mibvh.studies.outputs import remake_report
 
     with doing("writing the report"):
         remade = remake_report(folder, [kind for kind in figures.split(",") if kind])
