@@ -16,6 +16,7 @@ from mibvh.builders.chosen import Chosen, parse_all
 from mibvh.builders.sharing import shared_drafts
 from mibvh.errors import MibvhError, TreeFailed, of_one_tree
 from mibvh.metrics.registry import Metric, Subject, added_metrics, bundled_metrics
+from mibvh.nodes import PAPER_COSTS
 from mibvh.scene import Scene
 from mibvh.studies.measure.audit import Auditor, Checks
 from mibvh.studies.measure.cameras import cameras
@@ -30,9 +31,6 @@ from mibvh.studies.record.scene import TreeRow
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles
 from mibvh.variant import backend
-
-#: What all trees of a study are judged by: the paper's constants.
-_COSTS = {"c_inner": Options().c_inner, "c_tri": Options().c_tri}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -127,9 +125,9 @@ def judged_alike(tree: Tree) -> Tree:
 
     Trees of other constants would have figures in other units than the rest.
     """
-    if all(tree.meta.get(name) == value for name, value in _COSTS.items()):
+    if all(tree.meta.get(name) == value for name, value in PAPER_COSTS.items()):
         return tree
-    return tree.replace(meta={**tree.meta, **_COSTS})
+    return tree.replace(meta={**tree.meta, **PAPER_COSTS})
 
 
 @dataclasses.dataclass(frozen=True)
