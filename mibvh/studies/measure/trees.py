@@ -22,8 +22,7 @@ from mibvh.studies.measure.audit import Auditor, Checks
 from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import LINES, Counts, RayCounter
 from mibvh.studies.measure.given import check_given
-from mibvh.studies.measure.looks import scene_digest
-from mibvh.studies.measure.pieces import kept
+from mibvh.studies.measure.scene_digest import scene_digest
 from mibvh.studies.measure.shelf import Shelf
 from mibvh.studies.measure.store import Store, key_of
 from mibvh.studies.record.progress import Reporter
@@ -235,7 +234,7 @@ def study_tree(
         costs_by_origin=counts.costs_by_origin,
         leaf_distribution=counts.leaf_distribution,
         build_report=tree.meta.get("report", {}),
-        audit=kept(store, f"audit-{audit_key}", Checks, audit).checks,
+        audit=store.record(f"audit-{audit_key}", Checks, audit).checks,
     )
 
 
@@ -258,7 +257,7 @@ def judged_tree(tree: Tree, triangles: Triangles, store: Store) -> TreeFigures:
     of = {"tree": tree.digest, "digest": triangles.digest}
     key = key_of(__name__, "mibvh.metrics.registry", **of)
     judge = functools.partial(judge_tree, tree, triangles)
-    return kept(store, f"metrics-{key}", TreeFigures, judge)
+    return store.record(f"metrics-{key}", TreeFigures, judge)
 
 
 def counted_rays(tree: Tree, counter: RayCounter, store: Store) -> Counts:
@@ -272,7 +271,7 @@ def counted_rays(tree: Tree, counter: RayCounter, store: Store) -> Counts:
         backend=backend(),
         lines=LINES,
     )
-    return kept(store, f"counts-{key}", Counts, functools.partial(counter, tree))
+    return store.record(f"counts-{key}", Counts, functools.partial(counter, tree))
 
 
 def _first_stage(source: TreeSource, store: Store, key: str | None) -> str:
