@@ -79,7 +79,7 @@ def _print_version(asked: bool) -> None:
 
 
 def _load_plugin(path: Path) -> None:
-    """Run a Python file that registers builders."""
+    """Run a Python file that registers builders, metrics, predictors or experiments."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None or not path.exists():
         raise MibvhError(f"--plugin {path}: there is no such Python file")
@@ -99,7 +99,10 @@ def _load_plugin(path: Path) -> None:
 def _common(
     plugin: Annotated[
         list[Path] | None,
-        typer.Option("--plugin", help="Python file that registers builders of your own"),
+        typer.Option(
+            "--plugin",
+            help="Python file that registers your own builders, metrics, predictors or experiments",
+        ),
     ] = None,
     sandbox: Annotated[
         bool,
