@@ -58,8 +58,13 @@ def njit(
     return compiled
 
 
+def cache_folder(kernel: Dispatcher) -> Path:
+    """Return the folder in which the compiled code of a kernel is kept."""
+    return Path(kernel.stats.cache_path)
+
+
 class _Compiler(Compiler):
-    """Numba's own; it looks for no garbage meanwhile, as each look goes through all modules."""
+    """Numba's compiler without garbage collection: each collection goes through all modules."""
 
     def _compile_core(self) -> Any:
         enabled = gc.isenabled()

@@ -18,6 +18,7 @@ from mibvh._jit import njit
 from mibvh.errors import MibvhError
 from mibvh.measures.area import Measure
 from mibvh.measures.nodes import node_measures
+from mibvh.nodes import C_INNER, C_TRI
 from mibvh.tree import Tree
 from mibvh.triangles import F64, I32, as_triangles
 from mibvh.wide_tree import C_BOX, WIDTHS, WideTree
@@ -83,9 +84,9 @@ def collapse(
     if max_leaf is not None and (method == "greedy" or max_leaf < 1):
         raise MibvhError(f"max_leaf must be at least 1, and the method optimal, not {max_leaf}")
     costs = {
-        "c_inner": tree.meta.get("c_inner", 1.2) if c_inner is None else c_inner,
+        "c_inner": tree.meta.get("c_inner", C_INNER) if c_inner is None else c_inner,
         "c_box": c_box,
-        "c_tri": tree.meta.get("c_tri", 1.0) if c_tri is None else c_tri,
+        "c_tri": tree.meta.get("c_tri", C_TRI) if c_tri is None else c_tri,
     }
     if not min(costs.values()) >= 0:
         raise MibvhError(f"costs are not negative: {costs}")

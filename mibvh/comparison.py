@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mibvh.builders import Options, build
+from mibvh.builders import build
 from mibvh.builders.chosen import parse
 from mibvh.errors import MibvhError
 from mibvh.layouts import read_binary
 from mibvh.metrics.epo import epo_per_depth
 from mibvh.metrics.sah import sah_per_node
+from mibvh.nodes import PAPER_COSTS
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene, load
 from mibvh.traversal.trace import Hits, trace
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 #: Longer side of the picture in pixels, and rays per pixel along each side of it.
 _SIDE, _GRID = 512, 2
-_COSTS = {"c_inner": Options().c_inner, "c_tri": Options().c_tri}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,7 +136,7 @@ def compare(scene: Any, first: Any, second: Any, *, rays: RaySet | None = None) 
     if rays is None:
         rays = diffuse_rays(loaded, width=160, height=120, samples=1)
     hits = [trace(tree, triangles, rays, repeats=1) for tree in trees]
-    costs = [_costs_of(found) for found in hits]
+    costs = [found.costs() for found in hits]
     figures, by_depth = _figures(trees, triangles, hits)
     a, b = (_name(one) for one in waiting)
     return Comparison(
@@ -184,7 +184,7 @@ def difference_figure(scene: Any, found: Comparison, sensor: int = 0) -> Figure:
 
     # A dot separates a layer's name from what it shows.
     names = [name.replace(".", "·") for name in found.names]
-    a, b = (_costs_of(one) for one in hits)
+    a, b = (one.costs() for one in hits)
     channels = {
         f"{names[0]}.cost": image(a),
         f"{names[1]}.cost": image(b),
@@ -224,14 +224,7 @@ def _tree(given: Any, triangles: Triangles) -> Tree:
     else:
         tree = build(triangles, given.builder, **dict(given.options))
     tree.check_matches(triangles)
-    return tree.replace(meta={**tree.meta, **_COSTS})
-
-
-def _costs_of(hits: Hits) -> F64:
-    """(R,) float64: what each ray costs by the counters."""
-    return np.asarray(
-        _COSTS["c_inner"] * hits.inner.astype(np.float64) + _COSTS["c_tri"] * hits.tests
-    )
+    return tree.replace(meta={**tree.meta, **PAPER_COSTS})
 
 
 def _figures(
@@ -246,7 +239,7 @@ def _figures(
         "sah": [float(of.sum()) for of in sah],
         "epo": [float(of.sum()) for of in overlap],
         "lcv": [found.lcv for found in hits],
-        "counted_cost": [found.counted_cost(**_COSTS) for found in hits],
+        "counted_cost": [found.counted_cost(**PAPER_COSTS) for found in hits],
         **{name: [s[name] for s in stats] for name in ("nodes", "references", "depth")},
     }
     by_depth = [

@@ -10,6 +10,11 @@ from mibvh.triangles import F32, I32
 MAX_DEPTH = 64
 #: Deeper trees are refused altogether: exact EPO takes memory by the square of the depth.
 DEEPEST = 1024
+#: Cost of an inner node and of a triangle test (Aila, Karras and Laine, HPG 2013), where a tree
+#: records no others.
+C_INNER, C_TRI = 1.2, 1.0
+#: The same, as the names in a tree's ``meta`` and the arguments of functions have them.
+PAPER_COSTS = {"c_inner": C_INNER, "c_tri": C_TRI}
 #: Children that a node has at most, by the kind of tree.
 WIDTHS = (2, 4, 8)
 

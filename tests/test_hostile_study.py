@@ -14,7 +14,6 @@ import pytest
 import mibvh
 from mibvh.errors import MibvhError
 from mibvh.files import file_name, plain
-from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.store import Store
 from mibvh.studies.record.scene import SceneRecord
 from mibvh.studies.record.serialise import from_json
@@ -232,7 +231,7 @@ class Piece:
 def test_a_damaged_piece_is_made_anew(tmp_path, damage):
     store = Store(tmp_path)
     (tmp_path / "piece.json").write_bytes(damage)
-    assert kept(store, "piece", Piece, lambda: Piece(3, {"a": 0.5})) == Piece(3, {"a": 0.5})
+    assert store.record("piece", Piece, lambda: Piece(3, {"a": 0.5})) == Piece(3, {"a": 0.5})
     assert store.read("piece") == {"number": 3, "values": {"a": 0.5}}
 
 
@@ -250,7 +249,7 @@ def test_a_damaged_piece_is_made_anew(tmp_path, damage):
 def test_a_piece_of_another_shape_is_made_anew(tmp_path, value):
     store = Store(tmp_path)
     store.write("piece", value)
-    assert kept(store, "piece", Piece, lambda: Piece(3, {})) == Piece(3, {})
+    assert store.record("piece", Piece, lambda: Piece(3, {})) == Piece(3, {})
     assert store.read("piece") == {"number": 3, "values": {}}
 
 

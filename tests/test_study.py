@@ -138,7 +138,7 @@ def test_a_folder_that_held_other_studies(tmp_path, monkeypatch):
     mibvh.study([soup(40)], tmp_path, **choices)
     mibvh.study([soup(50)], tmp_path, **choices)
     assert [r.scene for r in read_study(tmp_path).scenes] == ["soup50"]
-    monkeypatch.setattr("mibvh.studies.run.FORMAT", 0)
+    monkeypatch.setattr("mibvh.studies.finished.FORMAT", 0)
     with pytest.raises(mibvh.MibvhError, match="made by another version of mibvh"):
         read_study(tmp_path)
 

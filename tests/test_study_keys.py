@@ -10,7 +10,7 @@ import mibvh
 from mibvh.builders import registry
 from mibvh.builders.chosen import parse
 from mibvh.studies.measure import store as store_module
-from mibvh.studies.measure.looks import scene_digest
+from mibvh.studies.measure.scene_digest import scene_digest
 from mibvh.studies.measure.store import Store
 from mibvh.studies.measure.trees import TreeSource
 

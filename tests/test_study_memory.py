@@ -18,7 +18,7 @@ from mibvh.builders import sharing
 from mibvh.studies.measure import shelf as shelves
 from mibvh.studies.measure import times
 from mibvh.studies.measure.given import Given
-from mibvh.studies.measure.needs import predicted_memory
+from mibvh.studies.measure.memory import predicted_memory
 from mibvh.studies.measure.shelf import Shelf
 from mibvh.studies.measure.trees import sources_of
 from mibvh.studies.record.options import StudyOptions

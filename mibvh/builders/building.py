@@ -16,6 +16,7 @@ from mibvh.builders.registry import Builder, Context, get, of_paper
 from mibvh.builders.sharing import spared
 from mibvh.errors import MibvhError
 from mibvh.measures import Area, Measure
+from mibvh.nodes import PAPER_COSTS
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles, as_triangles
 from mibvh.version import __version__
@@ -43,7 +44,7 @@ def warm_up(name: str, progress: Callable[[str, float], None] = lambda stage, do
         draft = entry.draft(triangles, entry.options(), Context())
     else:
         draft = Draft.from_nested(np.arange(len(triangles)), triangles)
-    finish(draft, c_inner=1.2, c_tri=1.0, max_leaf=8, meta={"triangles": len(triangles)})
+    finish(draft, **PAPER_COSTS, max_leaf=8, meta={"triangles": len(triangles)})
     _warm.add(name)
 
 

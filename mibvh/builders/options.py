@@ -6,6 +6,7 @@ import dataclasses
 from typing import Any
 
 from mibvh.errors import MibvhError
+from mibvh.nodes import C_INNER, C_TRI
 
 
 def option(default: Any, help: str, low: float | None = None, high: float | None = None) -> Any:
@@ -48,8 +49,8 @@ class Options:
     """
 
     max_leaf: int = option(8, "largest number of triangles in a leaf", 1, 255)
-    c_inner: float = option(1.2, "cost of an inner node (the paper's constant)", 0.0, 1e6)
-    c_tri: float = option(1.0, "cost of a triangle test (the paper's constant)", 1e-6, 1e6)
+    c_inner: float = option(C_INNER, "cost of an inner node (the paper's constant)", 0.0, 1e6)
+    c_tri: float = option(C_TRI, "cost of a triangle test (the paper's constant)", 1e-6, 1e6)
     presplit: float = option(
         0.0,
         "references that splitting triangles up front may add, per triangle (0.3); for builders "

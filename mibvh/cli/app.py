@@ -79,7 +79,7 @@ def _print_version(asked: bool) -> None:
 
 
 def _load_plugin(path: Path) -> None:
-    """Run a Python file that registers builders."""
+    """Run a Python file that registers builders, metrics, predictors or experiments."""
     # It may be called random.py: others that import random get the module they mean.
     taken = path.stem in sys.modules or path.stem in sys.stdlib_module_names
     name = f"mibvh_plugin_{path.stem}" if taken else path.stem
@@ -102,7 +102,10 @@ def _load_plugin(path: Path) -> None:
 def _common(
     plugin: Annotated[
         list[Path] | None,
-        typer.Option("--plugin", help="Python file that registers builders of your own"),
+        typer.Option(
+            "--plugin",
+            help="Python file that registers your own builders, metrics, predictors or experiments",
+        ),
     ] = None,
     sandbox: Annotated[
         bool,

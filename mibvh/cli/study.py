@@ -49,8 +49,14 @@ def study(
             "diffuse ones: diffuse, shadow, ao, primary, bounce2, ..., with weights as shadow:2",
         ),
     ] = None,
-    width: Annotated[
-        str, typer.Option(metavar="2,4,8", help="also collapse the trees to so many children")
+    widths: Annotated[
+        str,
+        typer.Option(
+            "--widths",
+            "--width",
+            metavar="2,4,8",
+            help="also collapse the trees to so many children",
+        ),
     ] = "",
     profile: Annotated[str, typer.Option(help="quick or paper")] = "quick",
     experiments: Annotated[
@@ -97,15 +103,14 @@ def study(
         use_variant(variant)
     choices = _profile(profile)
     choices |= {"seed": seed, "warp_width": warp_width, "warp_style": warp_style, "styles": styles}
-    choices |= {"seconds": seconds} if seconds is not None else {}
-    choices |= {"samples": samples} if samples is not None else {}
-    choices |= {"experiments": experiments} if experiments else {}
+    of_profile = {"seconds": seconds, "samples": samples, "experiments": experiments or None}
+    choices |= {name: value for name, value in of_profile.items() if value is not None}
     defines = parse_defines(define)
     sources = [with_defines(str(part), defines) for source in scenes for part in scenes_in(source)]
     kinds, files = kinds_or_files(rays or "")
     options = mibvh.StudyOptions(
         builders=builders,  # type: ignore[arg-type]
-        widths=width,  # type: ignore[arg-type]
+        widths=widths,  # type: ignore[arg-type]
         kinds=kinds,
         **choices,
     )
@@ -132,7 +137,7 @@ def study(
 
 
 def _profile(name: str) -> dict[str, Any]:
-    """Choices of a profile."""
+    """Return the study options that a profile sets."""
     from mibvh.studies import PROFILES
 
     if name not in PROFILES:
@@ -141,7 +146,7 @@ def _profile(name: str) -> dict[str, Any]:
 
 
 def _print_study(result: Study, as_json: bool) -> None:
-    """Print all, as the last JSON line; or the findings."""
+    """Print everything as the last JSON line, or the findings for people."""
     if not as_json:
         _print_findings(result)
         return
@@ -163,7 +168,7 @@ def _print_study(result: Study, as_json: bool) -> None:
 
 
 def _print_findings(result: Study) -> None:
-    """Print the findings: ten lines, as all tables are in the report."""
+    """Print the main findings, in about ten lines; the report has all tables."""
     from rich.console import Console
     from rich.text import Text
 
@@ -192,7 +197,7 @@ def report(
     as_json: Json = False,
 ) -> None:
     """Remake a study's tables and report without measuring again."""
-    from mibvh.studies.run import remake_report
+    from mibvh.studies.outputs import remake_report
 
     with doing("writing the report"):
         remade = remake_report(folder, [kind for kind in figures.split(",") if kind])

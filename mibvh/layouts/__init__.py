@@ -11,15 +11,16 @@ import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from mibvh.errors import MibvhError, did_you_mean
 from mibvh.files import atomic_path, kind_of
+from mibvh.layouts.npz import Own
 from mibvh.tree import Tree
 from mibvh.wide_tree import WideTree
 
-#: Names of the layouts, and the modules that read and write them; behind a colon, what they are
-#: called there, if not LAYOUT.
+#: Names of the layouts, and the modules that read and write them. A module with several layouts
+#: names the object after a colon; otherwise it is LAYOUT.
 LAYOUTS = {
     "mibvh": "mibvh.layouts.plain",
     "tinybvh": "mibvh.layouts.tinybvh",
@@ -32,21 +33,21 @@ LAYOUTS = {
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """How a tree stands in a file.
+    """The file format of another program's trees.
 
     Attributes
     ----------
     summary : str
         One line on what it is.
     parse : callable
-        From the file's bytes to what :meth:`mibvh.Tree.from_arrays` takes, or, of a wide layout,
-        :meth:`mibvh.WideTree.from_nodes`.
+        ``parse(data)`` turns a file's bytes into the keyword arguments of
+        :meth:`mibvh.Tree.from_arrays`, or, for a wide layout, :meth:`mibvh.WideTree.from_nodes`.
     pack : callable
-        From a tree to the file's bytes.
+        ``pack(tree)`` returns the bytes of a file.
     width : int
-        Children that a node may have.
+        Largest number of children per node.
     magic : bytes
-        What its files begin with; empty where that may be anything.
+        First bytes of every file; empty if the format has no such mark.
     """
 
     summary: str
@@ -56,8 +57,8 @@ class Layout:
     magic: bytes = b""
 
 
-def get(name: str) -> Any:
-    """Look a layout up by name.
+def get(name: str) -> Layout | Own:
+    """Look up a layout by name.
 
     Raises
     ------
@@ -70,7 +71,14 @@ def get(name: str) -> Any:
             f"{', '.join(LAYOUTS)}"
         )
     module, _, called = LAYOUTS[name].partition(":")
-    return getattr(importlib.import_module(module), called or "LAYOUT")
+    return cast(Layout | Own, getattr(importlib.import_module(module), called or "LAYOUT"))
+
+
+def _layout_of(path: Path, layout: str | None) -> str:
+    """Name of the layout of a file: as given, or by the file's ending."""
+    if layout is not None:
+        return layout
+    return "npz" if path.suffix == ".npz" else "mibvh"
 
 
 def read_tree(
@@ -84,12 +92,12 @@ def read_tree(
     layout : str, optional
         A name of :data:`LAYOUTS`; by default ``npz`` for a file of that ending, or else ``mibvh``.
     name : str, optional
-        What the tree is called where builders are named; by default the file's.
+        Name of the tree, used where other trees show their builder; by default the file's.
 
     Returns
     -------
     Tree or WideTree
-        A wide one of the layouts of more than two children per node, and of a wide tree's file.
+        A WideTree for layouts with more than two children per node, and for a WideTree's file.
 
     Raises
     ------
@@ -97,10 +105,9 @@ def read_tree(
         If the file cannot be read, or holds no valid tree.
     """
     path = Path(path)
-    if layout is None:
-        layout = "npz" if path.suffix == ".npz" else "mibvh"
+    layout = _layout_of(path, layout)
     chosen = get(layout)
-    if layout == "npz":
+    if isinstance(chosen, Own):
         if path.is_file() and not zipfile.is_zipfile(path):
             raise MibvhError(
                 f"{path}: no tree file of mibvh, or a damaged one; a tree of another program is "
@@ -125,19 +132,19 @@ def read_tree(
 
 
 def _hint(data: bytes, layout: str) -> str:
-    """Another layout whose files begin so, as the end of a sentence; empty if there is none."""
+    """Name another layout whose files begin like this one, to end a message with; or nothing."""
     marks = {name: get(name).magic for name in LAYOUTS if name != layout}
     fitting = [name for name, magic in marks.items() if magic and data.startswith(magic)]
     return f" (it begins like a file of the layout {fitting[0]})" if fitting else ""
 
 
 def read_binary(path: str | os.PathLike[str], name: str = "") -> Tree:
-    """Read a tree as :func:`read_tree` does, where only a binary one will do.
+    """Read a tree like :func:`read_tree`, and refuse a wide one.
 
     Raises
     ------
     MibvhError
-        As of that, or if it is a wide one.
+        As for :func:`read_tree`, or if the tree is wide.
     """
     tree = read_tree(path, name=name)
     if isinstance(tree, WideTree):
@@ -162,14 +169,13 @@ def write_tree(
     Raises
     ------
     MibvhError
-        If the tree does not fit the layout, or the file cannot be written.
+        If the tree is invalid or does not fit the layout, or the file cannot be written.
     """
     path = Path(path)
-    if layout is None:
-        layout = "npz" if path.suffix == ".npz" else "mibvh"
+    layout = _layout_of(path, layout)
     chosen = get(layout)
     tree.check()
-    if layout == "npz":
+    if isinstance(chosen, Own):
         tree.save(path)
         return
     width = tree.width if isinstance(tree, WideTree) else 2

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
-from mibvh.nodes import Nodes
+from mibvh.nodes import PAPER_COSTS, Nodes
 
 I64 = npt.NDArray[np.int64]
 
@@ -71,7 +71,7 @@ def renumbered(
     if root is None and not (order == 0).any():
         raise MibvhError("node 0 is its own ancestor, or its parent is: root= must name the root")
     given = ids[taken]
-    meta = {"builder": name, "options": {}, "c_inner": 1.2, "c_tri": 1.0, "report": {}}
+    meta = {"builder": name, "options": {}, **PAPER_COSTS, "report": {}}
     if triangles := _dense(given):
         meta["triangles"] = triangles
     if unused := nodes - len(order):

@@ -1,4 +1,4 @@
-"""Our own files, which :meth:`mibvh.Tree.save` writes."""
+"""mibvh's own files, which :meth:`mibvh.Tree.save` and :meth:`mibvh.WideTree.save` write."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True)
 class Own:
-    """Read and written by the tree itself."""
+    """A layout that the trees read and write themselves, with a checksum."""
 
     summary: str
     magic: bytes = b"PK\x03\x04"  # a zip archive

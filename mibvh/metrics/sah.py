@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mibvh.errors import MibvhError, expect
+from mibvh.nodes import C_INNER, C_TRI
 from mibvh.tree import Tree
 from mibvh.triangles import F64
 from mibvh.wide_tree import C_BOX, BinaryView, WideTree
@@ -38,8 +39,8 @@ def node_costs(
     """
     expect((Tree, WideTree), tree=tree)
     tree.check()
-    inner = tree.meta.get("c_inner", 1.2) if c_inner is None else c_inner
-    tri = tree.meta.get("c_tri", 1.0) if c_tri is None else c_tri
+    inner = tree.meta.get("c_inner", C_INNER) if c_inner is None else c_inner
+    tri = tree.meta.get("c_tri", C_TRI) if c_tri is None else c_tri
     if isinstance(tree, BinaryView):
         return tree.spread(node_costs(tree.wide, inner, tri, c_box=c_box))
     if isinstance(tree, WideTree):

@@ -1,8 +1,8 @@
-"""Compiling what a study needs on two cores, while its first scene loads.
+"""Compile a study's kernels on two cores, while its first scene loads.
 
-Numba compiles under locks: threads do not help. A second process does, as what it compiles is found
-in Numba's cache: it begins at the end of the list, this one at its beginning. Builds come after
-that, so nothing is compiled beside a build whose seconds are reported.
+Numba compiles under a lock, so threads do not help. A second process does: this process finds what
+it compiled in Numba's cache. The helper starts at the end of the list, this process at the
+beginning. Building starts after that, so that no reported build time includes compilation.
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from mibvh._jit import cache_folder
 from mibvh.builders import get, names, next_to_nothing, warm_up
 from mibvh.code import code_digest
 from mibvh.metrics.epo import epo
+from mibvh.morton import morton_codes
 from mibvh.parallel import thread_count
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles
-from mibvh.validation import _structure
 
-#: What is compiled besides builders: the exact EPO and the checks of a tree; and the checks of one
-#: that has split triangles.
+#: Parts that are compiled besides the builders: exact EPO with the checks of a tree, and the
+#: further checks of a tree with split triangles.
 METRICS, SPLIT_CHECKS = "metrics", "checks of split triangles"
 
 
@@ -35,16 +36,21 @@ METRICS, SPLIT_CHECKS = "metrics", "checks of split triangles"
 def compiled_ahead(
     builders: Sequence[str], say: Callable[[str], None]
 ) -> Iterator[Callable[[], None]]:
-    """Start to compile; yield what finishes it, and does nothing when called again.
+    """Start compiling in a second process, and yield a function that finishes the work.
 
-    Without effect where there is one core only, or all of it is known to be compiled.
+    Nothing happens on a single core, or if everything is known to be compiled.
 
     Parameters
     ----------
     builders : sequence of str
-        Names; those that are not the paper's are left out.
+        Names of builders; those outside :func:`mibvh.builders.names` are ignored.
     say : callable
-        Told what this process compiles next.
+        Called with the name of each part before this process compiles it.
+
+    Yields
+    ------
+    callable
+        Compiles the rest and ends the second process. A second call does nothing.
     """
     parts = _parts(builders)
     known = _note(parts)
@@ -57,10 +63,10 @@ def compiled_ahead(
         while parts:
             say(parts[0])
             compile_part(parts.pop(0))
-        if helper.poll() is None:  # nothing may run beside what is timed
+        if helper.poll() is None:  # builds are timed, so nothing may run beside them
             helper.kill()
             helper.wait()
-        with contextlib.suppress(OSError):  # it is only found out again
+        with contextlib.suppress(OSError):  # without the note, the next run checks again
             known.touch()
 
     try:
@@ -71,7 +77,13 @@ def compiled_ahead(
 
 
 def compile_part(part: str) -> None:
-    """Compile a builder, metrics or checks, by running it on next to nothing."""
+    """Compile one part by running it on a few triangles.
+
+    Parameters
+    ----------
+    part : str
+        The name of a builder, :data:`METRICS` or :data:`SPLIT_CHECKS`.
+    """
     triangles = next_to_nothing()
     if part == METRICS:
         tree = _two_leaves(triangles, np.arange(len(triangles)))
@@ -84,7 +96,7 @@ def compile_part(part: str) -> None:
 
 
 def _parts(builders: Sequence[str]) -> list[str]:
-    """Return what is to be compiled for trees of these builders."""
+    """Return the parts that trees of these builders need."""
     known = [name for name in dict.fromkeys(builders) if name in names()]
     splits = any(get(name).references(100, get(name).options()) > 100 for name in known)
     return [*known, METRICS, *([SPLIT_CHECKS] if splits else [])]
@@ -105,20 +117,20 @@ def _two_leaves(triangles: Triangles, references: npt.NDArray[np.int64]) -> Tree
 
 
 def _start(parts: Sequence[str]) -> subprocess.Popen[bytes]:
-    """Start a process that compiles parts; what goes wrong there is met again here."""
+    """Start a process that compiles parts. Its errors are ignored: they show up here again."""
     paths = [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH", "")]
-    around = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
     silent = subprocess.DEVNULL
     command = [sys.executable, "-m", __name__, *parts]
-    return subprocess.Popen(command, env=around, stdin=silent, stdout=silent, stderr=silent)
+    return subprocess.Popen(command, env=environment, stdin=silent, stdout=silent, stderr=silent)
 
 
 def _note(parts: Sequence[str]) -> Path:
-    """Return the file that is there, beside the compiled code, once all parts are compiled."""
+    """Return the file, beside the compiled code, whose existence says that all is compiled."""
     code = [get(part).code() for part in parts if part in names()]
     key = f"{sys.version} {code_digest('mibvh.validation', 'mibvh.metrics.epo')} {parts} {code}"
     digest = hashlib.sha256(key.encode()).hexdigest()[:16]
-    return Path(_structure.stats.cache_path) / f"mibvh-compiled-{digest}"
+    return cache_folder(morton_codes) / f"mibvh-compiled-{digest}"
 
 
 if __name__ == "__main__":

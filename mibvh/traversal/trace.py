@@ -15,6 +15,7 @@ import numpy.typing as npt
 from mibvh.errors import MibvhError, expect
 from mibvh.files import check_columns, read_arrays, write_arrays
 from mibvh.memory import BYTES, require_memory
+from mibvh.nodes import C_INNER, C_TRI
 from mibvh.ranges import check
 from mibvh.rays.rayset import RaySet
 from mibvh.traversal.child_order import ChildOrder, child_priority
@@ -114,7 +115,9 @@ class Hits:
         """Share of the issued lane-steps in which the lane had work."""
         return float(self.steps.sum(dtype=np.int64) / self.issued) if self.issued else 1.0
 
-    def counted_cost(self, c_inner: float = 1.2, c_tri: float = 1.0, c_box: float = C_BOX) -> float:
+    def counted_cost(
+        self, c_inner: float = C_INNER, c_tri: float = C_TRI, c_box: float = C_BOX
+    ) -> float:
         """Mean over the rays of ``c_inner * inner + c_tri * tests``: cost without a stopwatch.
 
         Each child box of a node beyond its second costs ``c_box`` more, so that this is a wide
@@ -126,7 +129,7 @@ class Hits:
         return cost + c_box * further / len(self)
 
     def costs(
-        self, c_inner: float = 1.2, c_tri: float = 1.0, c_box: float = C_BOX
+        self, c_inner: float = C_INNER, c_tri: float = C_TRI, c_box: float = C_BOX
     ) -> npt.NDArray[np.float64]:
         """(R,) float64: the counted cost of each ray; see :meth:`counted_cost`."""
         inner, tests = self.inner.astype(np.float64), self.tests.astype(np.float64)

@@ -14,7 +14,6 @@ import heapq
 import numpy as np
 
 from mibvh.metrics.sah import sah_per_node
-from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import key_of
 from mibvh.studies.record.progress import Reporter
@@ -133,7 +132,7 @@ def depth_experiment(setting: Setting, report: Reporter) -> DepthResult:
         report.part(share * i, share, name)("depth", 0.0)
         piece = f"depth-{key_of(__name__, tree=setting.trees.digest(name))}"
         make = functools.partial(_cuts_of, setting, name)
-        found.append(kept(setting.store, piece, Cuts, make))
+        found.append(setting.store.record(piece, Cuts, make))
     return DepthResult(found)
 
 

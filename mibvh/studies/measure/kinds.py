@@ -15,8 +15,7 @@ from mibvh.errors import MibvhError
 from mibvh.rays import RaySet, make_rays
 from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import RayCounter
-from mibvh.studies.measure.looks import scene_digest
-from mibvh.studies.measure.pieces import kept
+from mibvh.studies.measure.scene_digest import scene_digest
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import Store, key_of
 from mibvh.studies.measure.trees import counted_rays, judged_tree
@@ -163,7 +162,7 @@ def _audited(tree: Tree, counter: RayCounter, cost: float, store: Store) -> Chec
         backend=backend(),
         cost=cost,
     )
-    return kept(store, f"audit-{key}", Checks, lambda: _audit(tree, counter, cost))
+    return store.record(f"audit-{key}", Checks, lambda: _audit(tree, counter, cost))
 
 
 def _audit(tree: Tree, counter: RayCounter, cost: float) -> Checks:

@@ -15,7 +15,6 @@ import math
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
 from mibvh.studies.measure.counts import RayCounter
-from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import key_of
 from mibvh.studies.measure.times import Frame, TreeTimes, time_frames
@@ -121,9 +120,9 @@ def rotation_experiment(setting: Setting, report: Reporter) -> RotationResult:
     make_times = functools.partial(
         time_frames, [before, after], "scalar", options, report.part(0.6, 0.4)
     )
-    found = kept(store, f"rotation-{times_key}", TreeTimes, make_times)
-    same = kept(
-        store, f"same-{key_of(__name__, **keys)}", _SameHits, lambda: _same_hits(before, after)
+    found = store.record(f"rotation-{times_key}", TreeTimes, make_times)
+    same = store.record(
+        f"same-{key_of(__name__, **keys)}", _SameHits, lambda: _same_hits(before, after)
     )
     count = len(rows)
     timed = zip(rows, found.ns[:count], found.ns[count:], found.error[count:], strict=True)

@@ -16,9 +16,8 @@ from mibvh.scene import Scene
 from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import RayCounter
 from mibvh.studies.measure.given import Given
-from mibvh.studies.measure.looks import scene_digest
-from mibvh.studies.measure.needs import Peaks, check_memory, predicted_memory
-from mibvh.studies.measure.pieces import kept
+from mibvh.studies.measure.memory import Peaks, check_memory, predicted_memory
+from mibvh.studies.measure.scene_digest import scene_digest
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import Store, key_of
 from mibvh.studies.measure.times import LANES, kept_times
@@ -136,15 +135,14 @@ def _predict(
         reasons = "; ".join(dict.fromkeys(one.why for one in report.found_missing))
         raise MibvhError(f"{scene.name}: there is no tree ({reasons})")
     release_memory()
-    own = given.rays is not None
     sources = {name: sources[name] for name in trees}
-    setting = Setting(scene, rays, trees, options, machine, store, sources, own_rays=own)
+    setting = Setting(scene, rays, trees, options, machine, store, sources, given.rays is not None)
     with peaks.of("stopwatch"):
         rows, timing = _time(setting, rows, report)
     picture_key = key_of("mibvh.picture", scene=scene_digest(scene), cameras=cameras(scene))
     with peaks.of("picture"):
-        picture = kept(
-            store, f"picture-{picture_key}", _Picture, functools.partial(_picture, scene)
+        picture = store.record(
+            f"picture-{picture_key}", _Picture, functools.partial(_picture, scene)
         )
     return setting, SceneRecord(
         scene=scene.name,

@@ -19,7 +19,6 @@ from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene
 from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import costs_by_origin, counted_costs
-from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import key_of
 from mibvh.studies.measure.trees import TreeSource, judged_alike
@@ -106,7 +105,7 @@ def sensitivity_experiment(setting: Setting, report: Reporter) -> SensitivityRes
                 _leaf_sizes, setting.sources[name], setting.scene, setting.rays, options.cull
             )
             try:
-                leaf_sizes.append(kept(setting.store, f"leaves-{piece}", _Sizes, make).sizes)
+                leaf_sizes.append(setting.store.record(f"leaves-{piece}", _Sizes, make).sizes)
             except TreeFailed as error:  # of a user's builder, when it ran a second time
                 report.missing(f"tree {name}", error)
                 leaf_sizes.append([])
@@ -145,7 +144,7 @@ def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _
 def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:
     """Costs of the rays that are deeper than those of the scene's own ray set."""
     scene, trees, options = setting.scene, setting.trees, setting.options
-    if setting.own_rays:
+    if setting.rays_given:
         return [[] for _ in trees]  # those of the cameras would be of another population
     choices = {**options.rays(), "bounces": max(BOUNCES, options.bounces)}
     key = key_of(
@@ -171,7 +170,7 @@ def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:
         code = "mibvh.studies.measure.counts"
         key = key_of(code, tree=trees.digest(name), rays=rays.digest, cull=options.cull)
         make = functools.partial(counter.count, trees, name)
-        costs.append(kept(setting.store, f"deeper-{key}", _Costs, make).costs)
+        costs.append(setting.store.record(f"deeper-{key}", _Costs, make).costs)
     return costs
 
 

@@ -1,8 +1,9 @@
-"""What an experiment is made on."""
+"""What an experiment of a study is given to work on."""
 
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from typing import Any
 
 from mibvh.rays import RaySet
@@ -15,22 +16,23 @@ from mibvh.studies.record.options import StudyOptions
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """A scene that experiments are made on.
+    """A scene that the base study has finished, as an experiment gets it.
 
     Attributes
     ----------
     scene : Scene
     rays : RaySet
     trees : Shelf
-        By name: those of ``options.builders`` in their order, then those that were given.
+        Trees by name: those of ``options.builders`` in their order, then the given ones.
     options : StudyOptions
     machine : dict
-        What times depend on besides.
+        Hardware and software (:func:`mibvh.environment.environment`), which times depend on.
     store : Store
+        Keeps what the experiment finishes.
     sources : dict of str to TreeSource
-        Where the trees come from, by the same names.
-    own_rays : bool
-        Whether the rays were given, rather than made from the scene's cameras.
+        Where each tree comes from, by the same names.
+    rays_given : bool
+        Whether the user gave the rays; otherwise they were made from the scene's cameras.
     """
 
     scene: Scene
@@ -40,4 +42,10 @@ class Setting:
     machine: dict[str, Any]
     store: Store
     sources: dict[str, TreeSource]
-    own_rays: bool = False
+    rays_given: bool = False
+
+    @property
+    def own_rays(self) -> bool:
+        """Deprecated name of ``rays_given``."""
+        warnings.warn("own_rays is now rays_given", DeprecationWarning, stacklevel=2)
+        return self.rays_given

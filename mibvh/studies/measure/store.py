@@ -19,9 +19,11 @@ from mibvh.code import code_digest
 from mibvh.errors import MibvhError
 from mibvh.files import write_text
 from mibvh.rays import RaySet
+from mibvh.studies.record.serialise import from_json, to_json
 from mibvh.tree import Tree
 
 T = TypeVar("T", Tree, RaySet)
+R = TypeVar("R")
 
 
 def key_of(*code: str, **parts: Any) -> str:
@@ -122,17 +124,23 @@ class Store:
     def _path(self, kind: type[Tree] | type[RaySet], key: str) -> Path:
         return self.folder / f"{kind.__name__.lower()}-{key}.npz"
 
-    def kept(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """A JSON piece: read if it is here and sound, otherwise made and kept."""
+    def record(self, name: str, kind: type[R], make: Callable[[], R]) -> R:
+        """Return a dataclass: read if it is here and sound, otherwise made and kept as JSON."""
         value, seconds = self._held(name)
-        made = value is None
-        if value is None:
-            started = time.perf_counter()
-            value = make()
-            seconds = time.perf_counter() - started
-            self.write(name, value, seconds)
-        self._count(name, seconds, made=made)
-        return value
+        if value is not None:
+            try:
+                found = from_json(kind, value)
+            except MibvhError:  # of another version, or somebody made the checksum fit
+                pass
+            else:
+                self._count(name, seconds)
+                return found
+        started = time.perf_counter()
+        value = to_json(make())
+        seconds = time.perf_counter() - started
+        self.write(name, value, seconds)
+        self._count(name, seconds, made=True)
+        return from_json(kind, value)
 
     def read(self, name: str) -> dict[str, Any] | None:
         """Return the JSON piece of that name, or None if it is not here or damaged."""

@@ -11,7 +11,6 @@ import dataclasses
 import numpy as np
 
 from mibvh.rays import RaySet
-from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import key_of
 from mibvh.studies.measure.times import LANES, TreeTimes, kept_times
@@ -156,7 +155,7 @@ def _kept_costs(setting: Setting, name: str, rays: RaySet, style: str) -> _Costs
     def make() -> _Costs:
         return packet_costs(setting.trees[name], triangles, rays, style)
 
-    return kept(setting.store, f"styles-{key}", _Costs, make)
+    return setting.store.record(f"styles-{key}", _Costs, make)
 
 
 def packet_costs(tree: Tree, triangles: Triangles, rays: RaySet, style: str) -> _Costs:

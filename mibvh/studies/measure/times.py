@@ -13,7 +13,6 @@ import numpy as np
 
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
-from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.stopwatch import CLOCKS, SHORTEST, Timings, measure
 from mibvh.studies.measure.store import key_of
@@ -124,7 +123,7 @@ def kept_times(setting: Setting, lanes: Lanes, style: str, report: Reporter) -> 
     make = functools.partial(
         times, trees, setting.scene, setting.rays, lanes, options, report, style
     )
-    return kept(setting.store, f"timing-{key}", TreeTimes, make)
+    return setting.store.record(f"timing-{key}", TreeTimes, make)
 
 
 def time_frames(

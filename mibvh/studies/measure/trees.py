@@ -16,13 +16,13 @@ from mibvh.builders.chosen import Chosen, parse_all
 from mibvh.builders.sharing import shared_drafts
 from mibvh.errors import MibvhError, TreeFailed, of_one_tree
 from mibvh.metrics.registry import Metric, Subject, added_metrics, bundled_metrics
+from mibvh.nodes import PAPER_COSTS
 from mibvh.scene import Scene
 from mibvh.studies.measure.audit import Auditor, Checks
 from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import LINES, Counts, RayCounter
 from mibvh.studies.measure.given import check_given
-from mibvh.studies.measure.looks import scene_digest
-from mibvh.studies.measure.pieces import kept
+from mibvh.studies.measure.scene_digest import scene_digest
 from mibvh.studies.measure.shelf import Shelf
 from mibvh.studies.measure.store import Store, key_of
 from mibvh.studies.record.progress import Reporter
@@ -30,9 +30,6 @@ from mibvh.studies.record.scene import TreeRow
 from mibvh.tree import Tree
 from mibvh.triangles import Triangles
 from mibvh.variant import backend
-
-#: What all trees of a study are judged by: the paper's constants.
-_COSTS = {"c_inner": Options().c_inner, "c_tri": Options().c_tri}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -127,9 +124,9 @@ def judged_alike(tree: Tree) -> Tree:
 
     Trees of other constants would have figures in other units than the rest.
     """
-    if all(tree.meta.get(name) == value for name, value in _COSTS.items()):
+    if all(tree.meta.get(name) == value for name, value in PAPER_COSTS.items()):
         return tree
-    return tree.replace(meta={**tree.meta, **_COSTS})
+    return tree.replace(meta={**tree.meta, **PAPER_COSTS})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -237,7 +234,7 @@ def study_tree(
         costs_by_origin=counts.costs_by_origin,
         leaf_distribution=counts.leaf_distribution,
         build_report=tree.meta.get("report", {}),
-        audit=kept(store, f"audit-{audit_key}", Checks, audit).checks,
+        audit=store.record(f"audit-{audit_key}", Checks, audit).checks,
     )
 
 
@@ -260,7 +257,7 @@ def judged_tree(tree: Tree, triangles: Triangles, store: Store) -> TreeFigures:
     of = {"tree": tree.digest, "digest": triangles.digest}
     key = key_of(__name__, "mibvh.metrics.registry", **of)
     judge = functools.partial(judge_tree, tree, triangles)
-    return kept(store, f"metrics-{key}", TreeFigures, judge)
+    return store.record(f"metrics-{key}", TreeFigures, judge)
 
 
 def counted_rays(tree: Tree, counter: RayCounter, store: Store) -> Counts:
@@ -274,7 +271,7 @@ def counted_rays(tree: Tree, counter: RayCounter, store: Store) -> Counts:
         backend=backend(),
         lines=LINES,
     )
-    return kept(store, f"counts-{key}", Counts, functools.partial(counter, tree))
+    return store.record(f"counts-{key}", Counts, functools.partial(counter, tree))
 
 
 def _first_stage(source: TreeSource, store: Store, key: str | None) -> str:

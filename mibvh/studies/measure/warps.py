@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh.rays import RaySet
-from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.store import Store, key_of
 from mibvh.traversal.warp import simulate
 from mibvh.tree import Tree
@@ -93,7 +92,7 @@ class WarpCounter:
             rules=dataclasses.asdict(self.rules),
             most=MOST_RAYS,
         )
-        return kept(store, f"warps-{key}", WarpCosts, functools.partial(self, tree)).values
+        return store.record(f"warps-{key}", WarpCosts, functools.partial(self, tree)).values
 
     def __call__(self, tree: Tree) -> WarpCosts:
         """Simulate the warps, and lanes of their own for the same rays."""

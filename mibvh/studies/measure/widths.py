@@ -18,7 +18,6 @@ from mibvh.metrics.epo import overlap
 from mibvh.metrics.sah import node_costs, sah
 from mibvh.studies.measure.audit import Auditor, Checks
 from mibvh.studies.measure.counts import LINES, RayCounter
-from mibvh.studies.measure.pieces import kept
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import Store, key_of
 from mibvh.studies.measure.trees import counted_rays, judged_tree
@@ -151,10 +150,10 @@ def _row(of: _Collapsed, width: int, audited: Auditor, store: Store) -> WideRow:
         "backend": backend(),
     }
     key = key_of(__name__, "mibvh.studies.measure.counts", **made_of, lines=LINES)
-    values = kept(store, f"wide-{key}", _Values, functools.partial(of.figures, width)).values
+    values = store.record(f"wide-{key}", _Values, functools.partial(of.figures, width)).values
     held = {name: values[name] for name in ("sah", "epo", "counted_cost")}
     key = key_of(__name__, "mibvh.audit.run", **made_of, **held)
-    checks = kept(store, f"audit-{key}", Checks, lambda: audited(of.wide(width), values)).checks
+    checks = store.record(f"audit-{key}", Checks, lambda: audited(of.wide(width), values)).checks
     return WideRow(values, checks)
 
 
