@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -96,14 +97,13 @@ def optimize(
 
 def _measuring_rays(scene: Scene, options: FiniteOptions) -> RaySet:
     """Rays that the tree is not built for; a few would choose between trees by chance."""
-    view = {
-        "width": _WIDTH,
-        "height": _HEIGHT,
-        "seed": _SEEDS[_seed_of_training(options) == _SEEDS[0]],
-    }
-    rays = make_rays(scene, options.kind, samples=1, **view)
+    seed = _SEEDS[_seed_of_training(options) == _SEEDS[0]]
+    make = functools.partial(
+        make_rays, scene, options.kind, width=_WIDTH, height=_HEIGHT, seed=seed
+    )
+    rays = make(samples=1)
     times = min(-(-_FEWEST // len(rays)), _TIMES)
-    return rays if times == 1 else make_rays(scene, options.kind, samples=times, **view)
+    return rays if times == 1 else make(samples=times)
 
 
 def _seed_of_training(options: FiniteOptions) -> Any:
