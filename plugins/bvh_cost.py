@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 
 from mibvh.mitsuba.costs import QUANTITIES, CostProbe
-from mibvh.mitsuba.parameters import plain_variant, read_builder, refuse_unknown
+from mibvh.mitsuba.parameters import plain_variant, read_tree_source, refuse_unknown
 from mibvh.scene import load
 from mibvh.variant import mitsuba
 
@@ -24,6 +24,9 @@ class BvhCost(mi.SamplingIntegrator):
      * - compare
        - |string|
        - Builder of a second tree to compare with. (Default: none)
+     * - tree, compare_tree
+       - |string|
+       - File of a tree of this scene, in the place of ``builder`` and of ``compare``.
      * - cull
        - |bool|
        - Re-test popped nodes against the current hit. The paper does not. (Default: false)
@@ -36,8 +39,8 @@ class BvhCost(mi.SamplingIntegrator):
     and triangles tested; ``NAME.cost`` is their total by the cost constants. ``NAME.leaf_depth`` is
     the depth of the leaf that is hit, ``NAME.overlap`` the cost of the nodes that contain the hit
     point but not the triangle that is hit (end-point overlap); both are 0 for rays that miss.
-    ``hit`` is the share of rays that hit anything. NAME is the builder's. With a second builder its
-    channels follow, and those of ``difference``: second minus first.
+    ``hit`` is the share of rays that hit anything. NAME is the builder's, or the tree file's. With
+    a second tree its channels follow, and those of ``difference``: second minus first.
 
     Shapes other than meshes are tessellated or left out, and named in warnings.
 
@@ -60,16 +63,16 @@ class BvhCost(mi.SamplingIntegrator):
         mitsuba()
         plain_variant("bvh_cost", mi.variant())
         super().__init__(props)
-        self.builders = [read_builder(props, "builder", "sbvh")]
-        if props.get("compare", ""):
-            self.builders.append(read_builder(props, "compare", "", "compare_"))
+        self.sources = [read_tree_source(props, "builder", "sbvh")]
+        if "compare_tree" in props.keys() or props.get("compare", ""):  # noqa: SIM118 - keys only
+            self.sources.append(read_tree_source(props, "compare", "", "compare_"))
         self.cull = bool(props.get("cull", False))
         refuse_unknown(props, "bvh_cost")
 
     @property
     def layers(self) -> list[str]:
         """Prefixes of the channels: the builders' names, and ``difference`` if there are two."""
-        names = [builder.name for builder in self.builders]
+        names = [source.name for source in self.sources]
         if len(names) == 1:
             return names
         return [names[0], names[1] + ("_compare" if names[0] == names[1] else ""), "difference"]
@@ -83,7 +86,7 @@ class BvhCost(mi.SamplingIntegrator):
         loaded = load(scene)
         for note in loaded.notes:
             warnings.warn(note, stacklevel=2)
-        built = [builder.build(loaded, progress) for builder in self.builders]
+        built = [source.tree(loaded, progress) for source in self.sources]
         return [CostProbe(tree, loaded.triangles, self.cull, records) for tree, records in built]
 
     def sample(self, scene, sampler, ray, medium=None, active=True):
@@ -98,4 +101,4 @@ class BvhCost(mi.SamplingIntegrator):
 
     def to_string(self) -> str:
         """Describe the integrator, as Mitsuba's own do."""
-        return f"BvhCost[builders = {[builder.name for builder in self.builders]}]"
+        return f"BvhCost[trees = {[source.name for source in self.sources]}]"

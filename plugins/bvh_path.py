@@ -9,7 +9,7 @@ import mitsuba as mi
 
 from mibvh.errors import MibvhError
 from mibvh.mitsuba.accelerator import Accelerator, check_style
-from mibvh.mitsuba.parameters import plain_variant, read_builder, refuse_unknown
+from mibvh.mitsuba.parameters import plain_variant, read_tree_source, refuse_unknown
 from mibvh.variant import mitsuba
 
 
@@ -21,6 +21,9 @@ class BvhPath(mi.SamplingIntegrator):
      * - builder
        - |string|
        - Builder of the tree: a name from ``mibvh builders``. (Default: ``sbvh``)
+     * - tree
+       - |string|
+       - File of a tree of this scene, in the place of a builder.
      * - max_depth
        - |int|
        - Longest path; -1 for no limit. 1 shows emitters alone, 2 direct light. (Default: -1)
@@ -73,7 +76,7 @@ class BvhPath(mi.SamplingIntegrator):
             raise MibvhError(f"rr_depth must be at least 1, not {self.rr_depth}")
         self.style = str(props.get("style", "wide"))
         check_style(self.style)
-        self.builder = read_builder(props, "builder", "sbvh")
+        self.source = read_tree_source(props, "builder", "sbvh")
         refuse_unknown(props, "bvh_path")
 
     def prepare(self, scene, sensor=None, progress=None) -> Accelerator:
@@ -85,13 +88,7 @@ class BvhPath(mi.SamplingIntegrator):
                     stacklevel=2,
                 )
                 break
-        return Accelerator(
-            scene,
-            self.builder.name,
-            style=self.style,
-            progress=progress,
-            **dict(self.builder.options),
-        )
+        return Accelerator(scene, self.source, style=self.style, progress=progress)
 
     @dr.syntax
     def sample(self, scene, sampler, ray, medium=None, active=True):
@@ -190,8 +187,7 @@ class BvhPath(mi.SamplingIntegrator):
     def to_string(self) -> str:
         """Describe the integrator, as Mitsuba's own do."""
         return (
-            f"BvhPath[\n  builder = {self.builder.name},\n  options = "
-            f"{dict(self.builder.options)},\n  style = {self.style},\n"
+            f"BvhPath[\n  tree = {self.source},\n  style = {self.style},\n"
             f"  max_depth = {self.max_depth},\n  rr_depth = {self.rr_depth}\n]"
         )
 

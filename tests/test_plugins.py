@@ -425,8 +425,7 @@ def test_xml_with_parameters():
         <shape type="cube"/></scene>""",
         who="lbvh",
     )
-    assert "builder = lbvh" in str(scene.integrator())
-    assert "'max_leaf': 2" in str(scene.integrator())
+    assert "tree = lbvh(max_leaf=2)" in str(scene.integrator())
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert np.array(mi.render(scene, spp=1)).max() > 0

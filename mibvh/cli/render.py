@@ -27,6 +27,10 @@ def render(
         str | None, typer.Option(help="the tree's; sbvh by default (bvh_path, bvh_cost)")
     ] = None,
     compare: Annotated[str | None, typer.Option(help="builder of a second tree (bvh_cost)")] = None,
+    tree: Annotated[Path | None, typer.Option(help="tree file in the place of --builder")] = None,
+    compare_tree: Annotated[
+        Path | None, typer.Option(help="tree file in the place of --compare")
+    ] = None,
     option: Annotated[
         list[str] | None,
         typer.Option(help="NAME=VALUE, an option of the integrator or builder"),
@@ -47,7 +51,8 @@ def render(
     from mibvh.mitsuba.render import render as run
 
     parameters = parse_options(option)
-    parameters |= {k: v for k, v in (("builder", builder), ("compare", compare)) if v is not None}
+    trees = {"builder": builder, "compare": compare, "tree": tree, "compare_tree": compare_tree}
+    parameters |= {name: str(given) for name, given in trees.items() if given is not None}
     pixels = None if size is None else _parse_size(size)
     with stages("scene") as show:
         facts, notes = run(

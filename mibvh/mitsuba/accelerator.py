@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mibvh.errors import MibvhError
-from mibvh.mitsuba.parameters import Builder
+from mibvh.mitsuba.trees import Builder, TreeFile
 from mibvh.rays.origins import clear_origin, onto_plane
 from mibvh.scene import mesh_corners, shape_key, shape_kind, with_cameras_of
 from mibvh.traversal.kernel import walk
@@ -33,8 +33,8 @@ class Accelerator:
     Parameters
     ----------
     scene : mitsuba.Scene
-    builder : str
-        A name from ``mibvh builders``.
+    builder : str, Builder or TreeFile
+        A name from ``mibvh builders``, or what a plugin's parameters say.
     style : "wide" or "single"
         Walk the tree collapsed to nodes of eight children, or as it is. The hits are the same.
     progress : callable, optional
@@ -56,7 +56,7 @@ class Accelerator:
     def __init__(
         self,
         scene: Any,
-        builder: str = "sbvh",
+        builder: str | Builder | TreeFile = "sbvh",
         *,
         style: Style = "wide",
         progress: Any = None,
@@ -75,9 +75,10 @@ class Accelerator:
         parts = [mesh_corners(shape) for shape in meshes]
         self.triangles = Triangles(np.concatenate(parts), "scene")
         self.tree: Tree
-        chosen = Builder(builder, tuple(sorted(options.items())))
-        self.tree, self._records = chosen.build(
-            with_cameras_of(self.triangles, scene) if chosen.asks_scene else self.triangles,
+        if isinstance(builder, str):
+            builder = Builder(builder, tuple(sorted(options.items())))
+        self.tree, self._records = builder.tree(
+            with_cameras_of(self.triangles, scene) if builder.asks_scene else self.triangles,
             progress,
             "wide" if style == "wide" else "binary",
         )

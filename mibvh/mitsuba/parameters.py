@@ -1,4 +1,4 @@
-"""Parameters that the plugins read from a scene file: a builder and its options."""
+"""Parameters that the plugins read from a scene file: a builder and its options, or a tree file."""
 
 from __future__ import annotations
 
@@ -6,83 +6,14 @@ import dataclasses
 import functools
 from typing import Any
 
-from mibvh.builders import build
-from mibvh.builders.chosen import Chosen
-from mibvh.builders.registry import BuildFunction, get
+from mibvh.builders.registry import get
 from mibvh.errors import MibvhError
-from mibvh.scene import Scene
-from mibvh.studies.measure.cameras import cameras
-from mibvh.traversal.child_order import child_priority
-from mibvh.traversal.records import Layout, Records, make_records
-from mibvh.traversal.wide_rows import as_wide
-from mibvh.tree import Tree
-from mibvh.triangles import Triangles, as_triangles
+from mibvh.mitsuba.trees import Builder, TreeFile
 from mibvh.variant import mitsuba
-from mibvh.wide_tree import WideTree
 
 
-@dataclasses.dataclass(frozen=True)
-class Builder:
-    """A builder and its options, as given in a plugin's parameters.
-
-    Attributes
-    ----------
-    name : str
-    options : tuple of (str, value)
-    """
-
-    name: str
-    options: tuple[tuple[str, Any], ...] = ()
-
-    @property
-    def asks_scene(self) -> bool:
-        """Whether the tree may depend on more of a scene than the triangles."""
-        return Chosen(self.name, self.options).asks_scene
-
-    def build(
-        self, scene: Scene | Triangles, progress: Any = None, layout: Layout = "binary"
-    ) -> tuple[Tree, Records]:
-        """Build the tree and its records in a layout, or return cached ones.
-
-        In the wide layout, children have an order for rays that any hit ends.
-
-        Parameters
-        ----------
-        scene : Scene or Triangles
-            A scene where :attr:`asks_scene`: the builder gets rays of its cameras.
-        progress : callable, optional
-            Called as ``progress(stage, done)``.
-        layout : "binary" or "wide"
-        """
-        triangles = as_triangles(scene)
-        seen_from = cameras(scene) if isinstance(scene, Scene) and self.asks_scene else []
-        # A user's own builder may be registered anew under its name.
-        key = (triangles.digest, self, get(self.name).function, str(seen_from))
-        if key not in _trees:
-            while len(_trees) >= _KEPT:
-                del _trees[next(iter(_trees))]
-            _trees[key] = build(scene, self.name, progress=progress, **dict(self.options)), {}
-        tree, records = _trees[key]
-        # Records are in the memory of the variant's backend.
-        kind = (mitsuba().variant(), layout)
-        if kind not in records:
-            chosen: Tree | WideTree = tree
-            if layout == "wide":
-                wide = as_wide(tree, triangles)
-                chosen = wide.ordered(child_priority(wide, triangles, "worth"))
-            records[kind] = make_records(chosen, triangles, layout)
-        return tree, records[kind]
-
-
-#: Cached trees of the last renders: frames of an animation and passes of a render share them.
-_trees: dict[
-    tuple[str, Builder, BuildFunction, str], tuple[Tree, dict[tuple[str, Layout], Records]]
-] = {}
-_KEPT = 4
-
-
-def read_builder(props: Any, key: str, default: str, prefix: str = "") -> Builder:
-    """Read a builder and its given options.
+def read_tree_source(props: Any, key: str, default: str, prefix: str = "") -> Builder | TreeFile:
+    """Read a tree file's name, or else a builder and its given options.
 
     Parameters
     ----------
@@ -90,15 +21,24 @@ def read_builder(props: Any, key: str, default: str, prefix: str = "") -> Builde
     key : str
         The parameter that names the builder.
     default : str
-        The builder if the parameter is not given.
+        The builder if neither is given.
     prefix : str
-        Prefix of the options' names.
+        Prefix of the options' names, and of ``tree``, the file.
 
     Raises
     ------
     MibvhError
-        For an unknown builder, or an option out of range.
+        If both are given, for an unknown builder, or an option out of range.
     """
+    if prefix + "tree" in props.keys():  # noqa: SIM118 - keys only
+        if key in props.keys():  # noqa: SIM118
+            raise MibvhError(f"{prefix}tree is a finished tree: leave {key} out")
+        # Files that a scene names are beside it.
+        return TreeFile(str(mitsuba().file_resolver().resolve(str(props[prefix + "tree"]))))
+    return _read_builder(props, key, default, prefix)
+
+
+def _read_builder(props: Any, key: str, default: str, prefix: str) -> Builder:
     name = props.get(key, default)
     entry = get(name)
     given = {}
