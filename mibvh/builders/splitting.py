@@ -20,12 +20,15 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
+from mibvh.builders.simd import prefetch
 from mibvh.errors import MibvhError
 from mibvh.parallel import run_blocks
 from mibvh.triangles import F32, Triangles
 
 #: Most corners a triangle can have after clipping to a box and cutting at a plane, and one.
 MAX_CORNERS = 12
+#: How many references before its turn a triangle is asked for from memory.
+AHEAD = 12
 #: Spatial median planes are told apart down to this level: the cells of 63-bit Morton codes.
 _LEVELS = 21
 #: Triangles of a block that one thread splits.
@@ -83,6 +86,14 @@ def _cut(polygon, size, axis, plane, side, spare):
         for k in range(3):
             polygon[i, k] = spare[i, k]
     return kept
+
+
+@njit(allocates=False)
+def expect(corners, triangle):
+    """Fetch a triangle of a mesh, (N, 3, 3) float32, that will be needed soon."""
+    # Nine numbers are on two cache lines at most.
+    prefetch(corners, 9 * triangle)
+    prefetch(corners, 9 * triangle + 8)
 
 
 @njit(allocates=False)
