@@ -105,7 +105,7 @@ def _enter_point(point, cells, x, y, z, on_y, on_z, bin_box):
     widen(bin_box, on_z + min(max(-lane(cells, 2), z[0]), z[1]), point)
 
 
-@njit(allocates=False)
+@njit(allocates=False, forceinline=True)
 def _clipped_triangle(corners, triangle, scale, lists, row, polygon, spare, points):
     """Write the corners of a triangle's part inside a box, as boxes; return their number."""
     size = clip_to_box(corners, triangle, scale, lists, row, polygon, spare)
