@@ -99,10 +99,16 @@ def _span(cells, k):
 
 @njit(allocates=False)
 def _enter_point(point, cells, x, y, z, on_y, on_z, bin_box):
-    """Enter a corner of a reference that is in bins x, y and z (each the first and the last)."""
-    widen(bin_box, min(max(-lane(cells, 0), x[0]), x[1]), point)
-    widen(bin_box, on_y + min(max(-lane(cells, 1), y[0]), y[1]), point)
-    widen(bin_box, on_z + min(max(-lane(cells, 2), z[0]), z[1]), point)
+    """Enter a corner of a reference that is in bins x, y and z (each the first and the last).
+
+    Where these are one bin, it has the reference's box, and so the corner, already.
+    """
+    if x[0] < x[1]:
+        widen(bin_box, min(max(-lane(cells, 0), x[0]), x[1]), point)
+    if y[0] < y[1]:
+        widen(bin_box, on_y + min(max(-lane(cells, 1), y[0]), y[1]), point)
+    if z[0] < z[1]:
+        widen(bin_box, on_z + min(max(-lane(cells, 2), z[0]), z[1]), point)
 
 
 @njit(allocates=False, forceinline=True)
