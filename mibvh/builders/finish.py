@@ -22,6 +22,7 @@ from mibvh.builders.measured import exact_cost_of
 from mibvh.builders.simd import (
     load,
     load_corners,
+    prefetch,
     store,
     store_corners,
     union,
@@ -32,6 +33,10 @@ from mibvh.triangles import F32, I32
 #: A leaf of a split tree may hold a triangle twice; ranges up to this many references are
 #: counted without repetition before they are refused as a leaf.
 _MAX_DUPLICATED = 32
+
+#: How many nodes before its turn a leaf's reference is asked for from memory: the walk goes
+#: backwards, mostly through nodes side by side.
+_AHEAD = np.uint64(12)
 
 #: Subtrees this far down are rebuilt if they reach below ``MAX_DEPTH``. No real subtree has
 #: over 2**24 references, so halving what is below fits into the levels that are left.
@@ -134,6 +139,11 @@ def _walk(
             node = np.uint64(right[node])
         # A leaf: the finished subtree is one reference.
         r = np.uint64(reference[node])
+        if node > _AHEAD and reference[node - _AHEAD] >= 0:
+            ahead = reference[node - _AHEAD]
+            prefetch(lower, 3 * ahead)
+            prefetch(upper, 3 * ahead)
+            prefetch(triangle, ahead)
         box = load_corners(lower, upper, r)
         area = exact_cost_of(measure, box)
         cost = c_tri * area

@@ -33,7 +33,7 @@ from mibvh.builders.simd import (
     union,
     widen,
 )
-from mibvh.builders.splitting import MAX_CORNERS, clip_to_box
+from mibvh.builders.splitting import AHEAD, MAX_CORNERS, clip_to_box, expect
 from mibvh.builders.sweep import ID_ZERO
 
 
@@ -99,13 +99,19 @@ def _span(cells, k):
 
 @njit(allocates=False)
 def _enter_point(point, cells, x, y, z, on_y, on_z, bin_box):
-    """Enter a corner of a reference that is in bins x, y and z (each the first and the last)."""
-    widen(bin_box, min(max(-lane(cells, 0), x[0]), x[1]), point)
-    widen(bin_box, on_y + min(max(-lane(cells, 1), y[0]), y[1]), point)
-    widen(bin_box, on_z + min(max(-lane(cells, 2), z[0]), z[1]), point)
+    """Enter a corner of a reference that is in bins x, y and z (each the first and the last).
+
+    Where these are one bin, it has the reference's box, and so the corner, already.
+    """
+    if x[0] < x[1]:
+        widen(bin_box, min(max(-lane(cells, 0), x[0]), x[1]), point)
+    if y[0] < y[1]:
+        widen(bin_box, on_y + min(max(-lane(cells, 1), y[0]), y[1]), point)
+    if z[0] < z[1]:
+        widen(bin_box, on_z + min(max(-lane(cells, 2), z[0]), z[1]), point)
 
 
-@njit(allocates=False)
+@njit(allocates=False, forceinline=True)
 def _clipped_triangle(corners, triangle, scale, lists, row, polygon, spare, points):
     """Write the corners of a triangle's part inside a box, as boxes; return their number."""
     size = clip_to_box(corners, triangle, scale, lists, row, polygon, spare)
@@ -152,8 +158,9 @@ def _enter_all(
     ids = lists.view(np.int32)
     whole_triangles = np.int32(len(corners)) + ID_ZERO
     on_y, on_z = most, 2 * most
-    across = 0
+    across, last = 0, first + n - 1
     for row in range(first, first + n):
+        expect(corners, np.int64(ids[min(row + AHEAD, last), 7] - ID_ZERO))
         box = load(lists, row)
         cells = grid(box, origin, factor, least, greatest)
         x, y, z = _span(cells, 0), _span(cells, 1), _span(cells, 2)
@@ -237,6 +244,8 @@ def _chop_all(
     base = axis * most
     for i in range(across):
         row = np.int64(rows[i])
+        ahead = np.int64(rows[min(i + AHEAD, across - 1)])
+        expect(corners, np.int64(ids[ahead, 7] - ID_ZERO))
         cells = grid(load(lists, row), to_bins[0], to_bins[1], to_bins[2], to_bins[3])
         first, last = _span(cells, axis)
         if max(first + 1, begin) > min(last, end):

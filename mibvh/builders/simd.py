@@ -148,6 +148,23 @@ def load_point(typing: Any, points: Any, row: Any, factor: Any) -> Any:
 
 
 @intrinsic
+def prefetch(typing: Any, array: Any, element: Any) -> Any:
+    """Ask for the cache line of an element of a contiguous array, by its place in memory."""
+
+    def generate(context, build, signature, values):
+        byte = ir.IntType(8).as_pointer()
+        data = context.make_array(signature.args[0])(context, build, values[0]).data
+        pointer = build.bitcast(build.gep(data, [values[1]]), byte)
+        kind = ir.FunctionType(ir.VoidType(), [byte, _INT, _INT, _INT])
+        ask = build.module.declare_intrinsic("llvm.prefetch", [byte], kind)
+        # To read, to be kept in all caches, as data.
+        build.call(ask, [pointer, _constant(0), _constant(3), _constant(1)])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), generate
+
+
+@intrinsic
 def nothing(typing: Any) -> Any:
     """Return the box that adds nothing to a union."""
 

@@ -13,7 +13,7 @@ from mibvh._jit import njit
 from mibvh.builders.measured import cost_of
 from mibvh.builders.radix import argsort_keys, float_keys
 from mibvh.builders.simd import load, nothing, store, union, widen
-from mibvh.builders.splitting import split_reference
+from mibvh.builders.splitting import AHEAD, expect, split_reference
 from mibvh.builders.sweep import ID_ZERO
 
 #: Fewer parts than this are sorted by insertion.
@@ -61,6 +61,8 @@ def _cut_all(corners, scale, lists, across, axis, plane, rows, side, parts, halv
     left, both = 0, 0
     for i in range(across):
         row = np.int64(rows[i])
+        ahead = np.int64(rows[min(i + AHEAD, across - 1)])
+        expect(corners, np.int64(ids[ahead, 7] - ID_ZERO))
         found = split_reference(
             corners,
             ids[row, 7] - ID_ZERO,

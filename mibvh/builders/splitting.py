@@ -20,12 +20,15 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
+from mibvh.builders.simd import prefetch
 from mibvh.errors import MibvhError
 from mibvh.parallel import run_blocks
 from mibvh.triangles import F32, Triangles
 
 #: Most corners a triangle can have after clipping to a box and cutting at a plane, and one.
 MAX_CORNERS = 12
+#: How many references before its turn a triangle is asked for from memory.
+AHEAD = 12
 #: Spatial median planes are told apart down to this level: the cells of 63-bit Morton codes.
 _LEVELS = 21
 #: Triangles of a block that one thread splits.
@@ -52,40 +55,40 @@ def round_up(value):
     return rounded
 
 
-@njit(allocates=False)
-def _cut(polygon, size, axis, plane, side, spare):
-    """Keep the part of a convex polygon with ``side * x[axis] >= side * plane``.
+@njit(allocates=False, forceinline=True)
+def _cut(polygon, size, axis, plane, side, out):
+    """Write the part of a convex polygon with ``side * x[axis] >= side * plane`` to ``out``.
 
-    One step of Sutherland and Hodgman. Works in place and returns the new number of corners.
+    One step of Sutherland and Hodgman. Returns the new number of corners.
     """
-    inside = 0
-    for i in range(size):
-        if side * (polygon[i, axis] - plane) >= 0.0:
-            inside += 1
-    if inside == size:
-        return size
     kept = 0
-    for i in range(size if inside > 0 else 0):
+    a = side * (polygon[0, axis] - plane)
+    for i in range(size):
         j = i + 1 if i + 1 < size else 0
-        a = side * (polygon[i, axis] - plane)
         b = side * (polygon[j, axis] - plane)
         if a >= 0.0:
             for k in range(3):
-                spare[kept, k] = polygon[i, k]
+                out[kept, k] = polygon[i, k]
             kept += 1
         if (a < 0.0 < b) or (b < 0.0 < a):
             t = a / (a - b)
             for k in range(3):
-                spare[kept, k] = polygon[i, k] + t * (polygon[j, k] - polygon[i, k])
-            spare[kept, axis] = plane  # exactly, or the two sides of a cut would not meet
+                out[kept, k] = polygon[i, k] + t * (polygon[j, k] - polygon[i, k])
+            out[kept, axis] = plane  # exactly, or the two sides of a cut would not meet
             kept += 1
-    for i in range(kept):
-        for k in range(3):
-            polygon[i, k] = spare[i, k]
+        a = b
     return kept
 
 
 @njit(allocates=False)
+def expect(corners, triangle):
+    """Fetch a triangle of a mesh, (N, 3, 3) float32, that will be needed soon."""
+    # Nine numbers are on two cache lines at most.
+    prefetch(corners, 9 * triangle)
+    prefetch(corners, 9 * triangle + 8)
+
+
+@njit(allocates=False, forceinline=True)
 def clip_to_box(corners, triangle, scale, boxes, row, polygon, spare):
     """Write the part of a triangle inside a box; return its number of corners (0: none).
 
@@ -102,13 +105,25 @@ def clip_to_box(corners, triangle, scale, boxes, row, polygon, spare):
     polygon, spare : (MAX_CORNERS, 3) float64
         Result, and scratch.
     """
-    for i in range(3):
-        for k in range(3):
-            polygon[i, k] = np.float64(corners[triangle, i, k]) * scale
-    size = 3
+    crossed = 0
     for k in range(3):
-        size = _cut(polygon, size, k, np.float64(boxes[row, k]), 1.0, spare)
-        size = _cut(polygon, size, k, -np.float64(boxes[row, k + 4]), -1.0, spare)
+        low, high = np.float64(boxes[row, k]), -np.float64(boxes[row, k + 4])
+        for i in range(3):
+            x = np.float64(corners[triangle, i, k]) * scale
+            polygon[i, k] = x
+            crossed |= (x < low) << (2 * k) | (x > high) << (2 * k + 1)
+    # Most planes of most boxes cut nothing off.
+    size, swapped, source, target = 3, False, polygon, spare
+    for plane in range(6):
+        if (crossed >> plane) & 1:
+            k, upper = plane >> 1, plane & 1
+            side = 1.0 - 2.0 * upper
+            limit = side * np.float64(boxes[row, k + 4 * upper])
+            size = _cut(source, size, k, limit, side, target)
+            source, target, swapped = target, source, not swapped
+    for i in range(size if swapped else 0):
+        for k in range(3):
+            polygon[i, k] = spare[i, k]
     return size
 
 
