@@ -271,6 +271,9 @@ def test_an_experiment_is_missing_of_the_scenes_that_it_fails_at(
     assert why in said
     assert found.scenes[1].result(Leaves).leaves == [3]
     assert read_study(tmp_path).missing == found.missing
+    EXPERIMENTS.pop("own leaves")  # as where the plugin is missing
+    with pytest.raises(mibvh.MibvhError, match=r"--plugin that is missing .*'own leaves'"):
+        read_study(tmp_path)
     experiment(measure=lambda setting, report: Leaves([4]))
     mended = mibvh.study(scenes, tmp_path, **asked)
     assert mended.missing == []
