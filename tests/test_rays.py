@@ -94,7 +94,7 @@ def test_viewpoints_that_see_nothing_and_paths_that_end(cornell):
         mibvh.diffuse_rays(dataclasses.replace(cornell, sensors=[away]), **FEW)
     far = {"type": "perspective", "to_world": _looking_at_origin(3e5)}
     large = {"type": "scene", "camera": far, "ball": {"type": "sphere", "radius": 1e5}}
-    with pytest.raises(mibvh.MibvhError, match="far_clip: by default, from 0.01 to 10,000"):
+    with pytest.raises(mibvh.MibvhError, match=r"far_clip: by default, from 0\.01 to 10,000"):
         mibvh.diffuse_rays(mibvh.load(large), **FEW)
     large["camera"] = {**far, "far_clip": 1e6}
     assert len(mibvh.diffuse_rays(mibvh.load(large), **FEW)) > 0
