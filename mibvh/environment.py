@@ -81,7 +81,7 @@ def doctor() -> dict[str, Any]:
     choose_llvm()
     import drjit as dr
 
-    llvm, cuda = dr.has_backend(dr.JitBackend.LLVM), dr.has_backend(dr.JitBackend.CUDA)
+    llvm, cuda = (bool(dr.has_backend(b)) for b in (dr.JitBackend.LLVM, dr.JitBackend.CUDA))
     state: dict[str, Any] = {"ready": llvm or cuda, "llvm": llvm, "cuda": cuda, "advice": []}
     try:
         state["environment"] = environment()

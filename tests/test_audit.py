@@ -134,6 +134,8 @@ def test_an_audit_without_rays_is_refused(cornell, rays):
     none = rays.select(slice(0, 0))
     with pytest.raises(mibvh.MibvhError, match="there are none in the set"):
         audit(cornell, mibvh.build(cornell.triangles, "bbvh"), none)
+    with pytest.raises(mibvh.MibvhError, match="seed must be a whole number from 0"):
+        audit(cornell, mibvh.build(cornell.triangles, "bbvh"), rays, seed=-1)
 
 
 def _shrunk(tree):

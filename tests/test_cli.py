@@ -352,7 +352,8 @@ def test_doctor(cli):
     code, out, _ = cli("doctor", "--json")
     found = json.loads(out)
     assert code == 0
-    assert found["ready"]
+    assert [found[name] for name in ("ready", "llvm")] == [True, True]
+    assert all(type(found[name]) is bool for name in ("ready", "llvm", "cuda"))
     assert found["environment"]["lane_width"] >= 4
 
 

@@ -92,11 +92,23 @@ def test_viewpoints_that_see_nothing_and_paths_that_end(cornell):
     assert set(both.viewpoint) == {1}
     with pytest.raises(mibvh.MibvhError, match="no viewpoint sees any geometry"):
         mibvh.diffuse_rays(dataclasses.replace(cornell, sensors=[away]), **FEW)
+    far = {"type": "perspective", "to_world": _looking_at_origin(3e5)}
+    large = {"type": "scene", "camera": far, "ball": {"type": "sphere", "radius": 1e5}}
+    with pytest.raises(mibvh.MibvhError, match=r"far_clip: by default, from 0\.01 to 10,000"):
+        mibvh.diffuse_rays(mibvh.load(large), **FEW)
+    large["camera"] = {**far, "far_clip": 1e6}
+    assert len(mibvh.diffuse_rays(mibvh.load(large), **FEW)) > 0
     import trimesh
 
     ball = trimesh.creation.icosphere(2)
     rays = mibvh.diffuse_rays(mibvh.Triangles(ball.triangles.astype(np.float32)), bounces=3, **FEW)
     assert set(rays.bounce) == {1}
+
+
+def _looking_at_origin(distance):
+    import mitsuba as mi
+
+    return mi.ScalarTransform4f().look_at(origin=[0, 0, distance], target=[0, 0, 0], up=[0, 1, 0])
 
 
 def _looking_away(scene):

@@ -24,6 +24,7 @@ from mibvh.studies.record import experiment as experiments
 from mibvh.studies.record.experiment import Experiment
 from mibvh.studies.record.options import EXPERIMENTS
 from mibvh.studies.record.scene import Result
+from mibvh.studies.report.tidy import tidy_table
 from mibvh.studies.run import read_study, remake_report
 
 CHOICES = {"width": 24, "height": 16, "scalar_rays": 256, "seconds": 0.0}
@@ -217,6 +218,9 @@ def test_the_next_run_tries_it_again(own, tmp_path):
     assert found[1].missing == found[2].missing == []
     assert calls == [40, 40]  # a tree that was built is kept
     assert found[1].scenes[0].reused["trees"] == 1
+    # Options are text in one order, whether their tree was built now or read back.
+    tables = [tidy_table(one.scenes).query("builder == 'mends'") for one in found[1:]]
+    assert len(set(pd.concat(tables)["builder_options"])) == 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -267,6 +271,9 @@ def test_an_experiment_is_missing_of_the_scenes_that_it_fails_at(
     assert why in said
     assert found.scenes[1].result(Leaves).leaves == [3]
     assert read_study(tmp_path).missing == found.missing
+    EXPERIMENTS.pop("own leaves")  # as where the plugin is missing
+    with pytest.raises(mibvh.MibvhError, match=r"--plugin that is missing .*'own leaves'"):
+        read_study(tmp_path)
     experiment(measure=lambda setting, report: Leaves([4]))
     mended = mibvh.study(scenes, tmp_path, **asked)
     assert mended.missing == []

@@ -14,6 +14,7 @@ from mibvh.collapsing import collapse
 from mibvh.errors import MibvhError
 from mibvh.metrics.epo import epo
 from mibvh.metrics.sah import sah
+from mibvh.ranges import check
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.rays.make import MOST_SELF_HITS
 from mibvh.scene import load
@@ -69,9 +70,10 @@ def audit(
     Raises
     ------
     MibvhError
-        If the scene cannot be loaded, tree or rays belong to another geometry, or the ray set is
-        empty.
+        If the scene cannot be loaded, tree or rays belong to another geometry, the ray set is
+        empty, or the seed is out of range.
     """
+    check(seed=seed)
     report = progress or (lambda stage, done: None)
     scene = load(scene)
     triangles = scene.triangles

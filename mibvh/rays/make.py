@@ -137,10 +137,9 @@ def collect(
         if progress:
             progress((view + 1) / views)
     if hits == 0 and last > 0:
-        tiny = scene.triangles.diagonal < SMALLEST
-        reason = " (below 1e-12 across, Mitsuba misses hits; scale it up)" if tiny else ""
         raise MibvhError(
-            f"{scene.name}: no viewpoint sees any geometry, so there are no rays{reason}"
+            f"{scene.name}: no viewpoint sees any geometry, so there are no rays"
+            f"{_why_unseen(scene.triangles.diagonal)}"
         )
     if not parts:
         raise MibvhError(f"{scene.name}: there are no {kind.name} rays that leave vertex {first}")
@@ -164,6 +163,15 @@ def collect(
             f"leave, more than {MOST_SELF_HITS:.1%}: float32 is too coarse for this geometry"
         )
     return rays.select(morton_order(rays, scene.triangles.bounds)) if film.sort else rays
+
+
+def _why_unseen(diagonal: float) -> str:
+    """What hides a scene of such a size from cameras, if its size may be why."""
+    if diagonal < SMALLEST:
+        return " (below 1e-12 across, Mitsuba misses hits; scale it up)"
+    if 0.1 < diagonal < 1e3:
+        return ""
+    return " (a camera sees from its near_clip to its far_clip: by default, from 0.01 to 10,000)"
 
 
 def ray_memory(primary: int, bounces: int = 0) -> float:

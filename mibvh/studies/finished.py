@@ -142,9 +142,10 @@ def read_study(folder: str | os.PathLike[str]) -> Study:
     try:
         listed = from_json(_List, finished)
         records = [_read_record(store, name) for name in listed.scenes]
-    except MibvhError:
+    except MibvhError as error:
         raise MibvhError(
-            f"{folder}: a scene of this study is damaged; run it again to mend it"
+            f"{folder}: a scene of this study is damaged, or made with a --plugin that is missing "
+            f"here ({error}); run it again to mend it"
         ) from None
     if not records:
         raise MibvhError(f"{folder}: there is no finished scene of a study in this folder")

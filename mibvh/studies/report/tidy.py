@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +85,7 @@ def _rows(
     # Trees of other programs have no options.
     max_leaf = of.pop("max_leaf", tree.options.get("max_leaf", -1))
     options = {**tree.options, "max_leaf": max_leaf} if tree.options else {}
-    before = {**common, "builder": tree.builder, "builder_options": json.dumps(options)}
+    before = {**common, "builder": tree.builder, "builder_options": _text(options)}
     after = {**_USUAL, "max_leaf": max_leaf, **of}
     undeclared = [Quantity(name=name, unit="") for name in tidy.values if name not in known]
     for quantity in (*known.values(), *undeclared):
@@ -100,6 +100,11 @@ def _rows(
             }
 
 
+def _text(values: Mapping[str, Any]) -> str:
+    """As JSON: the same for the same values, measured now or read back."""
+    return json.dumps(values, sort_keys=True)
+
+
 def _common(record: SceneRecord) -> dict[str, Any]:
     """What all rows of a scene share."""
     machine = record.environment
@@ -109,11 +114,11 @@ def _common(record: SceneRecord) -> dict[str, Any]:
         "triangles": record.triangles,
         "digest": record.digest,
         "seed": record.rays.seed,
-        "study_options": json.dumps(to_json(record.options)),
+        "study_options": _text(to_json(record.options)),
         "mibvh": machine["mibvh"],
         "mitsuba": packages["mitsuba"],
         "drjit": packages["drjit"],
-        "packages": json.dumps(packages),
+        "packages": _text(packages),
         **{name: machine[name] for name in ("llvm", "variant", "lane_width", "cpu", "threads")},
     }
 
