@@ -1,4 +1,4 @@
-"""Trees and rays measured: metrics, audit, ray sets, traversal."""
+"""Commands that measure: metrics, audit, ray sets, traversal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arguments that several commands take, and how NAME=VALUE is read."""
+"""Arguments shared by several commands, and parsers for NAME=VALUE."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
 
 
 def parse_pairs(pairs: list[str] | None, option: str = "--option") -> dict[str, str]:
-    """Split ``name=value`` pairs, given as this option."""
+    """Split ``name=value`` pairs; errors name the option that they were given as."""
     parsed = {}
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
@@ -45,12 +45,12 @@ def parse_pairs(pairs: list[str] | None, option: str = "--option") -> dict[str, 
 
 
 def parse_defines(pairs: list[str] | None) -> dict[str, str]:
-    """Split what ``-D`` gives."""
+    """Split the pairs given by ``-D``."""
     return parse_pairs(pairs, "-D")
 
 
 def parse_options(pairs: list[str] | None) -> dict[str, Any]:
-    """Split ``name=value`` pairs; values as JSON where they are, otherwise as text."""
+    """Split ``name=value`` pairs; values are parsed as JSON, or else are text."""
     options: dict[str, Any] = {}
     for name, value in parse_pairs(pairs).items():
         try:

@@ -1,4 +1,4 @@
-"""Studies of scenes and builders, and their reports."""
+"""The commands that run a study and write its report."""
 
 from __future__ import annotations
 

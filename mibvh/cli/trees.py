@@ -1,4 +1,4 @@
-"""Trees: build, improve and collapse them; read and write those of other programs."""
+"""Commands for trees: build, optimise, collapse, import and export."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def collapse(
     quantise: Annotated[bool, typer.Option("--quantise", help="boxes of 8 bits")] = False,
     as_json: Json = False,
 ) -> None:
-    """Collapse a tree to nodes of more children: `metrics`, `audit` and `trace` take it, too."""
+    """Collapse a tree to nodes of more children, for `metrics`, `audit` and `trace`."""
     binary = mibvh.Tree.load(tree)
     wide = mibvh.collapse(binary, width, method=method, max_leaf=max_leaf)  # type: ignore[arg-type]
     wide = mibvh.quantised(wide) if quantise else wide

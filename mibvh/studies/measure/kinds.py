@@ -1,4 +1,4 @@
-"""Kinds of rays: primary, shadow and others, beside the diffuse ones, from the same viewpoints.
+"""The experiment ``kinds``: primary, shadow and other rays from the same viewpoints.
 
 Everything here is by counted cost. Occlusion rays are traced by the any-hit kernel, and cost what
 that visits; their lengths and ends are those of the closest hits.
@@ -67,7 +67,7 @@ class RayKind:
 
 @dataclasses.dataclass(frozen=True)
 class Checks:
-    """The checks of what one kind of rays found in one tree."""
+    """The checks of one kind of rays in one tree."""
 
     checks: list[Check]
 

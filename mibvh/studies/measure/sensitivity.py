@@ -1,4 +1,4 @@
-"""Sensitivity: other leaf sizes, deeper bounces, fewer viewpoints.
+"""The experiment ``sensitivity``: other leaf sizes, deeper bounces, fewer viewpoints.
 
 Everything here is by counted cost, which has no noise, so that small changes of r can be seen.
 """
@@ -38,7 +38,7 @@ _LEAF_RAYS = 262_144
 
 @dataclasses.dataclass(frozen=True)
 class LeafSize:
-    """A tree whose leaves were collapsed up to another size.
+    """A tree whose leaves were collapsed with another largest size.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class LeafSize:
 
 @dataclasses.dataclass(frozen=True)
 class SensitivityResult(Result, experiment="sensitivity"):
-    """What other choices cost, tree by tree.
+    """Costs of the trees under other choices.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ def sensitivity_experiment(setting: Setting, report: Reporter) -> SensitivityRes
 
 
 def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _Sizes:
-    """Finish one builder's draft with each leaf size, and judge and count the trees."""
+    """Finish one builder's draft with each leaf size; return metrics and counts of the trees."""
     triangles = scene.triangles
     if source.chosen is None:
         return _Sizes([])
@@ -142,7 +142,7 @@ def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _
 
 
 def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:
-    """Costs of the rays that are deeper than those of the scene's own ray set."""
+    """Costs of the rays of deeper bounces than those of the scene's ray set."""
     scene, trees, options = setting.scene, setting.trees, setting.options
     if setting.rays_given:
         return [[] for _ in trees]  # those of the cameras would be of another population
@@ -175,7 +175,7 @@ def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:
 
 
 class _LazyTracer:
-    """Rays that go to Dr.Jit's memory when a tree is first counted."""
+    """Rays that are copied to Dr.Jit's memory when a tree is first counted."""
 
     def __init__(self, scene: Scene, rays: RaySet, cull: bool) -> None:
         self._scene, self._rays, self._cull = scene, rays, cull
