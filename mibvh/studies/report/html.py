@@ -271,7 +271,7 @@ def _predictors(correlations: pd.DataFrame, named: bool) -> list[dict[str, str]]
 
 
 def _builders(records: Records) -> list[dict[str, str]]:
-    """Return name, colour and description of each builder, in the order of the scene with most trees."""
+    """Return name, colour and description of each builder, the scene with most trees first."""
     names = places_of(records)
     return [
         {
