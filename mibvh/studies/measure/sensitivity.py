@@ -21,7 +21,7 @@ from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import costs_by_origin, counted_costs
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import key_of
-from mibvh.studies.measure.trees import TreeSource, judged_alike
+from mibvh.studies.measure.trees import TreeSource, with_paper_costs
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import OriginCost, Result
 from mibvh.traversal.records import unit_scale
@@ -128,8 +128,8 @@ def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _
     costs = {"c_inner": options.c_inner, "c_tri": options.c_tri}
     meta = {"triangles": len(triangles), "digest": triangles.digest, **costs}
 
-    def judged(size: int) -> LeafSize:
-        tree = judged_alike(finish(draft, **costs, max_leaf=size, meta=meta))
+    def at_size(size: int) -> LeafSize:
+        tree = with_paper_costs(finish(draft, **costs, max_leaf=size, meta=meta))
         values = {
             "sah": sah(tree),
             "epo": epo(tree, triangles),
@@ -138,7 +138,7 @@ def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _
         }
         return LeafSize(size, len(some), values)
 
-    return _Sizes([judged(size) for size in LEAF_SIZES])
+    return _Sizes([at_size(size) for size in LEAF_SIZES])
 
 
 def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mibvh.audit.record import Check
 from mibvh.builders import Options, build, get
 from mibvh.builders.chosen import Chosen, parse_all
 from mibvh.builders.sharing import shared_drafts
@@ -119,7 +120,7 @@ def sources_of(builders: Sequence[str], trees: Mapping[str, Tree]) -> dict[str, 
     return {source.name: source for source in (*made, *given)}
 
 
-def judged_alike(tree: Tree) -> Tree:
+def with_paper_costs(tree: Tree) -> Tree:
     """Return a tree with the paper's cost constants, whatever it was built with.
 
     With other constants its metrics would have other units than those of the other trees.
@@ -130,7 +131,7 @@ def judged_alike(tree: Tree) -> Tree:
 
 
 @dataclasses.dataclass(frozen=True)
-class TreeFigures:
+class TreeMetrics:
     """Metrics of a tree that need no rays."""
 
     values: dict[str, float]
@@ -183,7 +184,7 @@ def _shelve(source: TreeSource, scene: Scene, trees: Shelf, store: Store, report
     else:
         tree = store.array(Tree, key, functools.partial(source.make, scene, report))
         again = store.again(Tree, key or key_of(tree=tree.digest), tree)
-    trees.put(source.name, judged_alike(tree), lambda: judged_alike(again()))
+    trees.put(source.name, with_paper_costs(tree), lambda: with_paper_costs(again()))
 
 
 def study_tree(
@@ -203,20 +204,43 @@ def study_tree(
     """
     triangles = counter.triangles
     report("metrics", 0.5)
-    judged = judged_tree(tree, triangles, store)
+    metrics = kept_metrics(tree, triangles, store)
     report("count", 0.8)
-    counts = counted_rays(tree, counter, store)
+    counts = kept_counts(tree, counter, store)
     report("warps", 0.9)
-    values = {**judged.values, **counts.values, **counter.warps.kept(tree, store)}
+    values = {**metrics.values, **counts.values, **counter.warps.kept(tree, store)}
     # Not kept: nothing tells whether the code of a user's metric is still the same.
     for metric in added_metrics():
         values |= _own_metric(metric, source.name, Subject(tree, triangles), report)
     report("audit", 0.95)
+    checks = _kept_audit(tree, values, counter, auditor, store)
+    return TreeRow(
+        builder=source.name,
+        options=tree.meta.get("options", {}),
+        values=values | {"build_seconds": tree.meta.get("build_seconds", math.nan)},
+        sah_by_depth=metrics.sah_by_depth,
+        epo_by_depth=metrics.epo_by_depth,
+        cost_groups=counts.cost_groups,
+        costs_by_origin=counts.costs_by_origin,
+        leaf_distribution=counts.leaf_distribution,
+        build_report=tree.meta.get("report", {}),
+        audit=checks,
+    )
+
+
+def _kept_audit(
+    tree: Tree,
+    values: dict[str, float],
+    counter: RayCounter,
+    auditor: Auditor,
+    store: Store,
+) -> list[Check]:
+    """Return the checks of a tree: from the store, or made and kept."""
     audited = {name: values[name] for name in ("sah", "epo", "counted_cost", "warp_scalar_cost")}
-    audit_key = key_of(
+    key = key_of(
         "mibvh.studies.measure.audit",
         tree=tree.digest,
-        digest=triangles.digest,
+        digest=counter.triangles.digest,
         rays=counter.rays.digest,
         cull=counter.cull,
         backend=backend(),
@@ -224,18 +248,7 @@ def study_tree(
         **audited,
     )
     audit = functools.partial(auditor, tree, values)
-    return TreeRow(
-        builder=source.name,
-        options=tree.meta.get("options", {}),
-        values=values | {"build_seconds": tree.meta.get("build_seconds", math.nan)},
-        sah_by_depth=judged.sah_by_depth,
-        epo_by_depth=judged.epo_by_depth,
-        cost_groups=counts.cost_groups,
-        costs_by_origin=counts.costs_by_origin,
-        leaf_distribution=counts.leaf_distribution,
-        build_report=tree.meta.get("report", {}),
-        audit=store.record(f"audit-{audit_key}", Checks, audit).checks,
-    )
+    return store.record(f"audit-{key}", Checks, audit).checks
 
 
 def _own_metric(
@@ -249,18 +262,18 @@ def _own_metric(
         return {quantity.name: math.nan for quantity in metric.quantities}
 
 
-def judged_tree(tree: Tree, triangles: Triangles, store: Store) -> TreeFigures:
+def kept_metrics(tree: Tree, triangles: Triangles, store: Store) -> TreeMetrics:
     """Return a tree's metrics that need no rays: from the store, or computed and kept.
 
     The key is the tree's bytes, so values that its builder reports are not part of this.
     """
     of = {"tree": tree.digest, "digest": triangles.digest}
     key = key_of(__name__, "mibvh.metrics.registry", **of)
-    judge = functools.partial(judge_tree, tree, triangles)
-    return store.record(f"metrics-{key}", TreeFigures, judge)
+    make = functools.partial(compute_metrics, tree, triangles)
+    return store.record(f"metrics-{key}", TreeMetrics, make)
 
 
-def counted_rays(tree: Tree, counter: RayCounter, store: Store) -> Counts:
+def kept_counts(tree: Tree, counter: RayCounter, store: Store) -> Counts:
     """Return the counts of the rays in a tree: from the store, or counted and kept."""
     key = key_of(
         "mibvh.studies.measure.counts",
@@ -280,14 +293,14 @@ def _first_stage(source: TreeSource, store: Store, key: str | None) -> str:
     return "cached tree" if store.has(Tree, key) else "build"
 
 
-def judge_tree(tree: Tree, triangles: Triangles) -> TreeFigures:
+def compute_metrics(tree: Tree, triangles: Triangles) -> TreeMetrics:
     """Compute this package's metrics of a tree, and SAH and EPO by depth."""
     subject = Subject(tree, triangles)
     levels = tree.depth + 1
     values: dict[str, float] = {}
     for metric in bundled_metrics():
         values |= metric(subject)
-    return TreeFigures(
+    return TreeMetrics(
         values=values,
         sah_by_depth=np.bincount(tree.depths, subject.sah_shares, levels).tolist(),
         epo_by_depth=np.bincount(tree.depths, subject.epo_shares, levels).tolist(),

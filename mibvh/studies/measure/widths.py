@@ -20,7 +20,7 @@ from mibvh.studies.measure.audit import Auditor, Checks
 from mibvh.studies.measure.counts import LINES, RayCounter
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import Store, key_of
-from mibvh.studies.measure.trees import counted_rays, judged_tree
+from mibvh.studies.measure.trees import kept_counts, kept_metrics
 from mibvh.studies.record.options import WIDTHS
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import Result
@@ -134,9 +134,9 @@ def _rows(
 
 def _binary(tree: Tree, counter: RayCounter, store: Store) -> WideRow:
     """Return the row of the binary tree, from the results of the base study."""
-    judged = judged_tree(tree, counter.triangles, store)
-    counts = counted_rays(tree, counter, store)
-    of_tree = {name: judged.values[name] for name in ("sah", "epo")}
+    metrics = kept_metrics(tree, counter.triangles, store)
+    counts = kept_counts(tree, counter, store)
+    of_tree = {name: metrics.values[name] for name in ("sah", "epo")}
     return WideRow({**of_tree, "mean_children": 2.0, **counts.values}, [])
 
 
