@@ -19,13 +19,13 @@ TreeOutput = Annotated[Path, typer.Option("-o", "--output", help="the tree file 
 FileOutput = Annotated[Path, typer.Option("-o", "--output", help="the file to write")]
 Define = Annotated[
     list[str] | None,
-    typer.Option("-D", "--define", help="NAME=VALUE for $NAME in a Mitsuba XML file"),
+    typer.Option("-D", "--define", help="sets $NAME in a Mitsuba XML file, as NAME=VALUE"),
 ]
 LayoutOption = Annotated[
     str | None,
     typer.Option(
-        help="mibvh, tinybvh, madmann91, npz, or of wide trees mbvh4, mbvh8; by default npz by its "
-        "ending, else mibvh"
+        help="mibvh, tinybvh, madmann91, npz; for wide trees mbvh4, mbvh8; by default npz for "
+        "that file ending, otherwise mibvh"
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
