@@ -1,4 +1,4 @@
-"""Where the bundled scenes are: in a checkout, or inside an installed wheel."""
+"""The bundled scenes, plugins and notebooks, in a checkout or an installed wheel."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def folder(name: str) -> Path:
 
 
 def cache_folder() -> Path:
-    """Where generated scenes and cached results go: ``MIBVH_CACHE``, or the user's cache."""
+    """Return the folder for generated scenes and results: ``MIBVH_CACHE``, or the user's cache."""
     asked = os.environ.get("MIBVH_CACHE")
     return Path(asked) if asked else Path(platformdirs.user_cache_dir("mibvh"))
 
 
 def scenes_package() -> Any:
-    """Import the bundled scenes' generators, wherever they are."""
+    """Import the generators of the bundled scenes."""
     return _import_folder("mibvh_scenes", folder("scenes"))
 
 
@@ -152,7 +152,7 @@ def bundled_scene(name: str, triangles: int | None = None, seed: int | None = No
 
 
 def _is_current(name: str, target: Path) -> bool:
-    """Whether a cached folder is complete, and what this version of mibvh would write."""
+    """Whether a cached folder is complete and was written by this version of mibvh."""
     package, template = scenes_package(), folder("scenes") / f"{name}.xml"
     try:
         # scene.json is written last.

@@ -1,4 +1,4 @@
-"""Which code a result was made by: a hash of all of it, followed through the package's imports.
+"""A hash of the code behind a result, followed through the package's imports.
 
 A kept result is believed only if the code that would make it today is the code that made it. A
 version number says less: it stays the same while the code changes.
@@ -46,7 +46,7 @@ def code_digest(*modules: str) -> str:
 
 
 def _reached(modules: Iterable[str]) -> set[str]:
-    """Names of the modules, and of those that they import, directly or not."""
+    """Return the names of modules and of all that they import, directly or not."""
     reached: set[str] = set()
     waiting = list(modules)
     while waiting:
@@ -59,7 +59,7 @@ def _reached(modules: Iterable[str]) -> set[str]:
 
 @functools.cache
 def _module(name: str) -> tuple[str, frozenset[str]]:
-    """Hash of a module's code, and the modules of the package that it imports."""
+    """Return the hash of a module's code, and the modules of the package that it imports."""
     path = _path(name)
     assert path is not None, f"{name} is no module of {_PACKAGE}"
     tree = ast.parse(path.read_bytes())
@@ -77,7 +77,7 @@ def _module(name: str) -> tuple[str, frozenset[str]]:
 
 
 def _imported(node: ast.AST) -> list[str]:
-    """Modules, or what may be modules, that an import statement names."""
+    """Return the possible modules that an import statement names."""
     if isinstance(node, ast.Import):
         return [alias.name for alias in node.names]
     if isinstance(node, ast.ImportFrom) and node.module and not node.level:
@@ -86,7 +86,7 @@ def _imported(node: ast.AST) -> list[str]:
 
 
 def _named(node: ast.AST) -> list[str]:
-    """Modules that a string names: whole, or as ``f"mibvh.rays.kinds.{name}"`` all of a package."""
+    """Return the modules that a string names; an f-string may stand for all of a package."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return [node.value] if node.value.startswith(f"{_PACKAGE}.") else []
     if isinstance(node, ast.JoinedStr) and isinstance(node.values[0], ast.Constant):
@@ -106,7 +106,7 @@ def _drop_docstrings(nodes: Iterable[ast.AST]) -> None:
 
 @functools.cache
 def _path(name: str) -> Path | None:
-    """File of a module of this package, or None if there is none of that name."""
+    """Return the file of a module of this package, or None if there is no such module."""
     if not all(part.isidentifier() for part in name.split(".")):
         return None
     place = Path(__file__).parent.joinpath(*name.split(".")[1:])

@@ -1,4 +1,4 @@
-"""Two trees of one scene side by side: their figures, where they differ, which rays pay."""
+"""Comparison of two trees of a scene: metrics, depths at which they differ, cost of each ray."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class OriginDifference:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Comparison:
-    """Two trees side by side. Differences are the second's less the first's.
+    """A comparison of two trees. Differences are the second minus the first.
 
     Attributes
     ----------
@@ -79,13 +79,13 @@ class Comparison:
 
     @property
     def quantiles(self) -> dict[float, float]:
-        """The difference at each of :data:`QUANTILES` of the rays, the cheapest first."""
+        """Quantiles of the difference over the rays, at :data:`QUANTILES`."""
         found = np.quantile(self.difference, QUANTILES)
         return dict(zip(QUANTILES, found.tolist(), strict=True))
 
     @property
     def shares(self) -> dict[str, float]:
-        """Share of the rays that cost more in the first tree, the same, more in the second."""
+        """Shares of the rays that cost less, the same, and more in the second tree."""
         d = self.difference
         return {
             "cheaper": float((d < 0).mean()),
@@ -94,7 +94,7 @@ class Comparison:
         }
 
     def to_json(self) -> dict[str, Any]:
-        """Return all but the trees and the single rays as JSON-able values."""
+        """Return everything but the trees and the single rays as JSON-able values."""
         return {
             "trees": list(self.names),
             "rays": len(self.difference),
@@ -107,7 +107,7 @@ class Comparison:
 
 
 def compare(scene: Any, first: Any, second: Any, *, rays: RaySet | None = None) -> Comparison:
-    """Hold two trees of a scene against each other.
+    """Compare two trees of a scene.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def compare(scene: Any, first: Any, second: Any, *, rays: RaySet | None = None) 
 
 
 def difference_figure(scene: Any, found: Comparison, sensor: int = 0) -> Figure:
-    """Draw what the camera's rays cost in either tree, and the difference, over the scene.
+    """Draw images of the cost of camera rays in each tree, and of the difference.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def difference_figure(scene: Any, found: Comparison, sensor: int = 0) -> Figure:
 
 
 def _named(given: Any) -> Any:
-    """A tree, a file that is there, or a builder that is known: told apart before any work."""
+    """Tell apart a tree, an existing file and a known builder, before any work."""
     if isinstance(given, Tree):
         return given
     if not isinstance(given, str | os.PathLike):
@@ -230,7 +230,7 @@ def _tree(given: Any, triangles: Triangles) -> Tree:
 def _figures(
     trees: list[Tree], triangles: Triangles, hits: list[Hits]
 ) -> tuple[dict[str, tuple[float, float]], list[DepthDifference]]:
-    """Return what is known of either tree, and where in it the expected cost sits."""
+    """Return the metrics of both trees, and their expected cost by depth."""
     levels = 1 + max(tree.depth for tree in trees)
     sah = [np.bincount(tree.depths, sah_per_node(tree), levels) for tree in trees]
     overlap = [_padded(epo_per_depth(tree, triangles), levels) for tree in trees]
@@ -270,7 +270,7 @@ def _by_origin(rays: RaySet, costs: list[F64]) -> list[OriginDifference]:
 
 
 def _camera_grid(scene: Scene, sensor: int) -> tuple[RaySet, int, int]:
-    """Rays of a camera through a grid of each pixel, row by row, and the picture's size."""
+    """Return rays of a camera through a grid in each pixel, row by row, and the image's size."""
     mi = mitsuba()
     camera = scene.sensors[sensor]
     size = np.array(camera.film().size(), dtype=np.float64).ravel()

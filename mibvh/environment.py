@@ -1,4 +1,4 @@
-"""What this machine is: kept with every result, and shown by ``mibvh doctor``."""
+"""A description of this machine, kept with every result and shown by ``mibvh doctor``."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def environment() -> dict[str, Any]:
 
 
 def doctor() -> dict[str, Any]:
-    """Look at what the machine has for mibvh, without raising.
+    """Check what the machine offers to mibvh; never raises.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The one exception a user's mistake raises."""
+"""The exception that mistakes of a user raise, and helpers for its messages."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from pathlib import Path
 
 
 class MibvhError(ValueError):
-    """Something the caller asked for cannot be done; the message says what and where.
+    """A request that cannot be fulfilled; the message says what and where.
 
     The command line prints the message as one sentence and exits with code 2.
     """
 
 
 class TreeFailed(MibvhError):
-    """One tree of a scene, or a figure of it, cannot be had; the others may be."""
+    """One tree of a scene failed; the study continues with the others."""
 
 
 @contextlib.contextmanager
 def of_one_tree() -> Iterator[None]:
-    """Say of a mistake within that it concerns one tree of a scene.
+    """Turn a MibvhError of the block into a TreeFailed.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def expect(kind: type | tuple[type, ...], **values: object) -> None:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Guess a misspelt name, to stand in a message; empty where none is near.
+    """Return a hint at a similar name for a message; empty if there is none.
 
     >>> did_you_mean("cornel", ["cornell", "hairball"])
     " (did you mean 'cornell'?)"
@@ -97,7 +97,7 @@ def is_bundled(function: Callable[..., object]) -> bool:
 
 
 def guard(what: str, function: Callable[..., object]) -> contextlib.AbstractContextManager[None]:
-    """Whatever a user's own function raises within becomes one sentence.
+    """Turn whatever a user's function raises in the block into one sentence.
 
     Parameters
     ----------
@@ -112,13 +112,13 @@ def guard(what: str, function: Callable[..., object]) -> contextlib.AbstractCont
 
 
 def _file_of(function: Callable[..., object]) -> str:
-    """File that a function stands in; empty where that is not known."""
+    """Return the file that defines a function; empty if unknown."""
     code = getattr(inspect.unwrap(function), "__code__", None)
     return code.co_filename if code else ""
 
 
 def _place(error: BaseException, path: Path) -> str:
-    """File and line at which a user's code failed: its own last line, or a syntax error's."""
+    """Return file and line at which a user's code failed: its last own frame, or a syntax error."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}, line {error.lineno}"
     frames = traceback.extract_tb(error.__traceback__)

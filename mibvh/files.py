@@ -1,4 +1,4 @@
-"""Files appear whole or not at all, and damage to them is noticed."""
+"""Atomic writing of files, and ``.npz`` files with a checksum."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file atomically (UTF-8; what cannot be said in it is escaped)."""
+    """Write a UTF-8 text file atomically; characters that cannot be encoded are escaped."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def make_folder(path: str | os.PathLike[str]) -> Path:
-    """Make a folder, and those above it, if it is not there; return it.
+    """Create a folder and its parents if they do not exist; return it.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def file_name(name: str) -> str:
-    """Return the name of a file for what is called ``name``, whoever chose that.
+    """Turn any name into a safe file name.
 
     Letters, digits and ``@ + - . _`` stay. A name that has others, begins with a dot or is long
     gets a mark at its end, so that two names never share a file.
@@ -94,15 +94,15 @@ def file_name(name: str) -> str:
 
 
 def plain(text: str) -> str:
-    """Return text of a record or a file's name without what no file of text may hold.
+    """Replace characters that a text file must not contain.
 
-    Control characters and halves of characters become question marks.
+    Control characters and lone surrogates become question marks.
     """
     return re.sub("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]", "?", text)
 
 
 def checksum(arrays: Mapping[str, npt.NDArray[Any]], meta: Mapping[str, Any]) -> str:
-    """SHA-256 of arrays, with their names, types, byte orders and shapes, and of JSON-able data."""
+    """Return the SHA-256 of arrays (names, types, byte orders, shapes) and of JSON-able data."""
     digest = hashlib.sha256()
     for name, array in arrays.items():
         digest.update(json.dumps([name, array.dtype.str, array.shape]).encode())
@@ -119,7 +119,7 @@ def write_arrays(
     kind: str | None = None,
     key: str | None = None,
 ) -> None:
-    """Write an ``.npz`` file: the arrays and a header that tells what they are.
+    """Write arrays and a header with metadata to an ``.npz`` file.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def write_arrays(
 
 
 def kind_of(path: str | os.PathLike[str]) -> str | None:
-    """What a file of :func:`write_arrays` holds; None if it does not tell, or is none."""
+    """Return the kind of a file of :func:`write_arrays`; None if it has none or is another file."""
     try:
         with zipfile.ZipFile(path) as archive:
             kind = json.loads(str(_member(archive, "header"))).get("kind")
@@ -209,7 +209,7 @@ def read_arrays(
 
 
 class Stored:
-    """A value of arrays and JSON-able metadata that an ``.npz`` file holds."""
+    """Base class of values with arrays and JSON-able metadata, saved as ``.npz`` files."""
 
     #: The arrays' names, and what the value is called in messages.
     _ARRAYS: ClassVar[tuple[str, ...]]
@@ -254,12 +254,12 @@ class Stored:
         return {name: getattr(self, name) for name in self._ARRAYS}
 
     def _header(self) -> dict[str, Any]:
-        """What the file says beside the arrays."""
+        """Return the metadata to write beside the arrays."""
         return self.meta
 
     @classmethod
     def _restored(cls, arrays: dict[str, npt.NDArray[Any]], header: dict[str, Any]) -> Self:
-        """Make the value of what the file holds; refuse an invalid one."""
+        """Make the value from a file's contents; refuse an invalid one."""
         return cls(**arrays, meta=header)  # type: ignore[call-arg] # a subclass is a dataclass
 
 
@@ -296,7 +296,7 @@ def check_columns(
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> npt.NDArray[Any]:
-    """Read one array. It takes no more memory than the file has bytes, whatever it claims."""
+    """Read one array, without trusting its header's size: memory is bounded by the file's bytes."""
     info = archive.getinfo(f"{name}.npy")
     if info.compress_type != zipfile.ZIP_STORED:
         raise ValueError(f"{name} is compressed")
@@ -312,7 +312,7 @@ def _member(archive: zipfile.ZipFile, name: str) -> npt.NDArray[Any]:
 
 
 def _sound(header: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> bool:
-    """Whether the checksum is that of the arrays and the rest of the header."""
+    """Whether the checksum fits the arrays and the rest of the header."""
     if header["format"] == 1:  # covers the bytes alone
         digest = hashlib.sha256()
         for array in arrays.values():

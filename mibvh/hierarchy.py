@@ -1,4 +1,4 @@
-"""Hierarchy: what binary and wide trees have in common."""
+"""The common base class of binary and wide trees."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mibvh.triangles import F32, F64, I32, Triangles, read_only
 
 
 class Hierarchy(Stored):
-    """Closed boxes of nodes over ranges of references. An immutable value.
+    """Base class of trees: closed node boxes over ranges of references. An immutable value.
 
     A subclass is a frozen dataclass. It adds how nodes name their children, and the invariants.
     """
@@ -88,7 +88,7 @@ class Hierarchy(Stored):
     # ------------------------------------------------------------ invariants
 
     def check(self) -> None:
-        """Refuse an invalid tree, as far as can be told without its triangles.
+        """Raise if the tree is invalid, as far as can be checked without its triangles.
 
         Raises
         ------
@@ -98,10 +98,10 @@ class Hierarchy(Stored):
         raise NotImplementedError
 
     def check_matches(self, triangles: Triangles) -> None:
-        """Refuse triangles that this tree was not built for, and an invalid tree.
+        """Raise if the tree is invalid, or was not built for these triangles.
 
-        Every function that takes a tree and its triangles comes here first. The arrays are
-        read-only: the check is made once for each geometry.
+        Every function that takes a tree and its triangles calls this first. The arrays are
+        read-only, so each geometry is checked only once.
 
         Raises
         ------
@@ -116,7 +116,7 @@ class Hierarchy(Stored):
             self._sound.add(triangles.digest)
 
     def check_built_for(self, triangles: Triangles) -> None:
-        """Refuse triangles that this tree was not built for, by what it says of them.
+        """Raise if the tree's metadata name other triangles.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class Hierarchy(Stored):
 
     @functools.cached_property
     def _sound(self) -> set[str]:
-        """What the arrays were checked against: "structure", and digests of triangles."""
+        """Checks that the arrays have passed: "structure", and digests of triangles."""
         return set()
 
     def _refuse(self, violations: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""How much memory there is: work that needs more is refused before it begins."""
+"""Available memory, and the refusal of work that needs more."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _GROUPS = (
 
 
 def available_memory() -> int | None:
-    """Bytes that this process may still ask for; None where the system does not tell.
+    """Return the bytes that this process may still allocate; None if unknown.
 
     The least of what the machine has free, what the container leaves and what ``ulimit -v`` does.
     """
@@ -50,7 +50,7 @@ def available_memory() -> int | None:
 
 
 def require_memory(needed: float, what: str) -> None:
-    """Refuse work that memory is too small for.
+    """Refuse work that needs more memory than available.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def require_memory(needed: float, what: str) -> None:
 
 
 def require_references(count: float, what: str) -> None:
-    """Refuse a tree of more references than its indices can tell apart.
+    """Refuse a tree with more references than int32 can index.
 
     Raises
     ------
@@ -86,13 +86,13 @@ def require_references(count: float, what: str) -> None:
 
 
 def reset_peak() -> None:
-    """Let :func:`peak_memory` begin anew; without effect where the system cannot."""
+    """Reset :func:`peak_memory`, if the system supports that."""
     with contextlib.suppress(OSError):
         _CLEAR.write_text("5")
 
 
 def peak_memory() -> int | None:
-    """Most bytes in memory since :func:`reset_peak`; None where the system does not tell."""
+    """Return the peak memory in bytes since :func:`reset_peak`; None if unknown."""
     try:
         lines = _STATUS.read_text().splitlines()
     except OSError:
@@ -101,7 +101,7 @@ def peak_memory() -> int | None:
 
 
 def used_memory() -> int:
-    """Bytes that this process has in memory; 0 where the system does not tell."""
+    """Return the bytes that this process has in memory; 0 if unknown."""
     try:
         return int(_STATM.read_text().split()[1]) * _page_size()
     except (ImportError, OSError, ValueError):

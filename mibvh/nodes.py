@@ -1,4 +1,4 @@
-"""The arrays of a tree, as its checks and layouts see them, without the class that has them."""
+"""The arrays of a tree as a protocol, for checks and layouts; and constants of trees."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WIDTHS = (2, 4, 8)
 
 
 class Nodes(Protocol):
-    """What a :class:`mibvh.Tree` is made of; its docstring says what each array holds."""
+    """The arrays of a :class:`mibvh.Tree`, whose docstring describes them."""
 
     @property
     def lower(self) -> F32: ...  # noqa: D102
@@ -43,7 +43,7 @@ class Nodes(Protocol):
 
 
 class WideNodes(Nodes, Protocol):
-    """What a :class:`mibvh.WideTree` has beside; its docstring says what each array holds."""
+    """The further arrays of a :class:`mibvh.WideTree`, whose docstring describes them."""
 
     @property
     def child(self) -> I32: ...  # noqa: D102

@@ -1,4 +1,4 @@
-"""The best tree for a scene and its cameras, and what it saves."""
+"""The best tree for a scene and its cameras, and how much cost it saves."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SEEDS = (1, 2)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Optimised:
-    """A tree, and the cost of rays that it was not built for.
+    """A tree, and the cost of test rays that it was not built for.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Optimised:
     kind: str = "diffuse"
 
     def sentence(self) -> str:
-        """Say what the tree saves."""
+        """Return a sentence on how much the tree saves."""
         own = self.costs[self.tree.meta["builder"]]
         others = {name: self.costs[name] for name in OTHERS if name != self.tree.meta["builder"]}
         *rest, last = (

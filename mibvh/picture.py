@@ -1,4 +1,4 @@
-"""A small picture of a scene: for the report, and behind drawings."""
+"""Small images of a scene, for the report and as backgrounds of plots."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _DARK, _MOSTLY = 0.02, 0.4
 
 
 def picture(scene: Scene, viewpoint: int = 0, width: int = 360, samples: int = 32) -> F64:
-    """Render what a viewpoint sees.
+    """Render the view of one camera.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The range of every number that a user sets, in one place."""
+"""The valid range of every number that a user can set."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Range:
         return f"{kind} from {self.low:g} to {self.high:,.15g}"
 
     def holds(self, value: object) -> bool:
-        """Whether a value is of the kind, and in the range; NaN never is."""
+        """Whether a value has the right type and is in the range; false for NaN."""
         kind = numbers.Integral if self.whole else numbers.Real
         if not isinstance(value, kind) or isinstance(value, bool):
             return False
@@ -51,7 +51,7 @@ RANGES = {
 
 
 def check(where: str = "", /, **values: object) -> None:
-    """Refuse values that are out of their ranges.
+    """Raise if a value is outside its range.
 
     Parameters
     ----------

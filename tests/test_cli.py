@@ -1,4 +1,5 @@
 import importlib
+import inspect
 import json
 import os
 import subprocess
@@ -8,8 +9,11 @@ import numpy as np
 import pytest
 
 import mibvh
+from mibvh.audit import audit
 from mibvh.cli import main
+from mibvh.cli.app import COMMANDS
 from mibvh.cli.progress import progress_bar, show_stages
+from mibvh.layouts import LAYOUTS
 
 
 def run(capsys, monkeypatch, *arguments):
@@ -24,6 +28,37 @@ def run(capsys, monkeypatch, *arguments):
 @pytest.fixture
 def cli(capsys, monkeypatch):
     return lambda *arguments: run(capsys, monkeypatch, *arguments)
+
+
+def defaults(function):
+    """Defaults of a function's parameters by name; None is filled in elsewhere."""
+    found = {name: p.default for name, p in inspect.signature(function).parameters.items()}
+    return {k: v for k, v in found.items() if v is not None and v is not inspect.Parameter.empty}
+
+
+@pytest.mark.parametrize(
+    ("command", "function", "same"),
+    [
+        ("build", mibvh.build, {"builder"}),
+        ("collapse", mibvh.collapse, {"width", "method"}),
+        ("rays", mibvh.diffuse_rays, {"width", "height", "samples", "bounces", "seed"}),
+        ("trace", mibvh.trace, {"lanes", "cull", "repeats"}),
+        ("audit", audit, {"seed"}),
+        ("study", mibvh.StudyOptions, {"seed", "warp_width", "warp_style"}),
+    ],
+)
+def test_the_defaults_of_a_command_are_those_of_its_function(command, function, same):
+    """They stand in both, so that help on the command line needs no slow import."""
+    told, meant = defaults(COMMANDS[command]), defaults(function)
+    assert {name: told[name] for name in same} == {name: meant[name] for name in same}
+
+
+@pytest.mark.parametrize("command", ["import", "export"])
+def test_the_help_names_every_layout(cli, command):
+    code, out, _ = cli(command, "--help")
+    assert code == 0
+    words = set(out.replace(",", " ").replace(";", " ").split())
+    assert set(LAYOUTS) <= words
 
 
 def test_the_whole_path(cli, tmp_path):

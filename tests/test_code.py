@@ -53,6 +53,6 @@ def test_a_change_elsewhere_does_not(copy):
 
 def test_comments_docstrings_and_layout_do_not(copy):
     before = digest(copy, "mibvh.metrics.epo")
-    edit(copy / "errors.py", "The one exception", "The only exception")
+    edit(copy / "errors.py", "The exception that mistakes", "An exception that mistakes")
     edit(copy / "errors.py", "class MibvhError", "# a comment\n\n\nclass MibvhError")
     assert digest(copy, "mibvh.metrics.epo") == before

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import nbclient
+import nbformat
 import pytest
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
@@ -15,8 +17,6 @@ def test_all_are_there():
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the kernel's own libraries
 def test_notebook(path, tmp_path, monkeypatch):
-    nbclient = pytest.importorskip("nbclient")
-    nbformat = pytest.importorskip("nbformat")
     assert path.stat().st_size < 400_000  # pictures in it stay small
     monkeypatch.setenv("PYTHONPATH", str(FOLDER.parent), prepend=":")
     # Neither the user's kernels nor those of another environment.

@@ -94,9 +94,10 @@ def test_epo_at_ends_agrees_with_the_density(traced):
     at_points = mibvh.epo_at_ends(tree, triangles, both)
     by_density = mibvh.epo(tree, triangles, weights=both.density(triangles))
     evenly = mibvh.epo(tree, triangles)
-    assert abs(at_points.value - by_density) < 0.15 * at_points.value
-    assert at_points.standard_error < 0.05 * at_points.value
-    assert evenly > 0
+    assert abs(at_points.value - by_density) < 0.03 * at_points.value
+    assert at_points.standard_error < 0.01 * at_points.value
+    # Neither is the EPO of ends spread evenly, from which this scene's are far.
+    assert evenly < 0.8 * at_points.value
 
 
 def test_fragments_against_brute_force():

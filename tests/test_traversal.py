@@ -3,7 +3,7 @@ import pytest
 from conftest import closed_box, soup
 
 import mibvh
-from mibvh.variant import lane_width
+from mibvh.variant import lane_width, mitsuba
 
 STYLES = ["single", "while-while", "speculative", "wide"]
 in_every_style = pytest.mark.parametrize("style", STYLES)
@@ -146,7 +146,7 @@ def test_tmax_is_respected(small_soup, style):
 
 @in_every_style
 def test_hits_against_mitsuba(cornell, style):
-    mi = pytest.importorskip("mitsuba")
+    mi = mitsuba()
     rays = mibvh.diffuse_rays(cornell, width=64, height=48, samples=2, bounces=2)
     tree = mibvh.build(cornell.triangles, "bbvh")
     hits = mibvh.trace(tree, cornell.triangles, rays, style=style, repeats=1)
@@ -232,7 +232,7 @@ def test_axis_parallel_rays_along_faces_and_from_edges(style):
 @in_every_style
 def test_no_more_leaks_than_mitsuba(style):
     """From inside a closed, finely cut, rotated box, aimed at its vertices and edges."""
-    mi = pytest.importorskip("mitsuba")
+    mi = mitsuba()
     turn = mibvh.rotation_about((1, 2, 3), 33)
     box = mibvh.Triangles(closed_box(-1, 1, cells=12)).rotated(turn)
     tree = mibvh.build(box, "bbvh")

@@ -21,20 +21,28 @@ from mibvh.tree import Tree
 from mibvh.triangles import Triangles, as_triangles
 from mibvh.version import __version__
 
-#: Builders that have run in this process, so that nothing of theirs is left to compile.
+#: Builders that have run in this process, and therefore are compiled.
 _warm: set[str] = set()
 
 
 def next_to_nothing() -> Triangles:
-    """Triangles that builders run on once, so that they are compiled."""
+    """Return 24 random triangles, to compile builders on."""
     corners = np.random.default_rng(0).random((24, 3, 3))
     return Triangles(corners.astype(np.float32), "warm-up")
 
 
 def warm_up(name: str, progress: Callable[[str, float], None] = lambda stage, done: None) -> None:
-    """Run a builder of this package, or what finishes a user's draft, once on next to nothing.
+    """Compile a builder by running it once on a few triangles.
 
-    So the seconds reported for a tree hold no compilation, nor the loading of compiled code.
+    Otherwise the build time of the first tree would include compilation, or loading compiled code.
+    Of a user's builder only the shared finishing is compiled.
+
+    Parameters
+    ----------
+    name : str
+        Name of a builder.
+    progress : callable
+        Called as ``progress("compiling", 0.0)`` if there is anything to do.
     """
     if name in _warm:
         return
@@ -49,7 +57,7 @@ def warm_up(name: str, progress: Callable[[str, float], None] = lambda stage, do
 
 
 def _over_parts(entry: Builder, triangles: Triangles, options: Options, context: Context) -> Draft:
-    """Run a builder over the parts that splitting triangles up front makes."""
+    """Run a builder over the references that splitting triangles beforehand makes."""
     from mibvh.builders.splitting import as_boxes, over_parts, presplit  # compiled code
 
     references = presplit(triangles, options.presplit)
@@ -60,7 +68,7 @@ def _over_parts(entry: Builder, triangles: Triangles, options: Options, context:
 def origin_of(
     builder: str, options: Options, triangles: Triangles, report: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """What a tree's ``meta`` says of where it comes from."""
+    """Return the ``meta`` of a tree: builder, options, triangles, cost constants and report."""
     return {
         "builder": builder,
         "options": dataclasses.asdict(options),
@@ -86,14 +94,14 @@ def build(
     Parameters
     ----------
     triangles : Triangles, Scene, (N, 3, 3) array, or a name or file that `load` takes
-        The geometry.
+        The geometry. A builder that traces rays needs a scene.
     builder : str
         A name from :func:`names`.
     progress : callable, optional
         Called as ``progress(stage, done)`` with ``done`` from 0 to 1.
     measure : Measure, optional
-        What a box costs: ``Area()``, as in the papers, by default; ``Flux(segments)``, or one of
-        your own (:mod:`mibvh.measures`).
+        The cost of a box: by default ``Area()``, as in the papers; ``Flux(segments)``, or your own
+        (:mod:`mibvh.measures`).
     **options
         The builder's options; ``max_leaf``, ``c_inner`` and ``c_tri`` are common to all.
 
@@ -105,8 +113,8 @@ def build(
     Raises
     ------
     MibvhError
-        For an unknown builder or an impossible option, or where a builder of the user's own made
-        an invalid tree.
+        If the builder is unknown, an option is impossible, memory is too small, or a user's
+        builder fails or makes an invalid tree.
     """
     source, triangles = triangles, as_triangles(triangles)
     entry = get(builder)
@@ -135,7 +143,7 @@ def build(
             measure=draft.measure or context.compiled_measure(draft.references.scale),
         )
     meta = {**tree.meta, "build_seconds": time.perf_counter() - started + spared() - before}
-    # The tests see to it that the paper's builders make sound trees.
+    # The paper's builders are validated by the tests instead.
     if not of_paper(entry) and (violations := tree.validate(triangles)):
         raise MibvhError(f"builder {builder} made an invalid tree: {'; '.join(violations)}")
     return tree.replace(meta=meta)

@@ -1,6 +1,6 @@
-"""Builders with options, as they are written: ``sbvh``, ``bittner(start=sbvh)``, sweeps.
+"""Parse builders with options: ``sbvh``, ``bittner(start=sbvh)``, and sweeps.
 
-``sbvh(bins=8..128:8)`` stands for a tree with each of 8, 16, ..., 128 bins.
+``sbvh(bins=8..128:8)`` is a sweep: one tree with each of 8, 16, ..., 128 bins.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from mibvh.builders.options import Options
 from mibvh.builders.registry import get
 from mibvh.errors import MibvhError, did_you_mean
 
-#: Trees that one sweep may stand for.
+#: Largest number of trees in a sweep.
 MOST = 64
-#: Options that name a builder themselves.
+#: Options whose value is the name of another builder.
 _STARTS = ("start", "base")
 
 
 @dataclasses.dataclass(frozen=True)
 class Chosen:
-    """A builder, and the options that are not as they are by default.
+    """A builder, and the options that differ from its defaults.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Chosen:
     options : tuple of (str, value)
         In the order in which the builder declares them.
     swept : bool
-        Whether it is one of several that a sweep stands for.
+        Whether it is one of the several cases of a sweep.
     """
 
     builder: str
@@ -41,7 +41,7 @@ class Chosen:
 
     @property
     def name(self) -> str:
-        """What the tree is called: the builder, and what differs from its defaults."""
+        """Name of the tree: the builder with these options, as :func:`parse` reads them."""
         if not self.options:
             return self.builder
         return f"{self.builder}({','.join(f'{k}={_text(v)}' for k, v in self.options)})"
@@ -53,9 +53,9 @@ class Chosen:
         return any(get(name).asks_scene for name in made_by)
 
     def starts(self) -> frozenset[tuple[str, Options]]:
-        """Return the builders of the tree that this one starts from, and that one from, and so on.
+        """Return the chain of builders that this one starts from, with their options.
 
-        Each with its options: cost constants and leaf size go on, all others are the defaults.
+        Cost constants and leaf size are passed on; all other options are the defaults.
         """
         found: set[tuple[str, Options]] = set()
         options = get(self.builder).options(**dict(self.options))
@@ -69,7 +69,7 @@ class Chosen:
 
 
 def builder_of(name: str) -> str:
-    """Return the builder of a tree's name.
+    """Return the builder in a tree's name.
 
     >>> builder_of("sbvh(bins=8)")
     'sbvh'
@@ -78,7 +78,7 @@ def builder_of(name: str) -> str:
 
 
 def split(text: str) -> tuple[str, ...]:
-    """Split at commas that stand in no parentheses.
+    """Split at the commas outside parentheses.
 
     >>> split("bbvh, sbvh(bins=8,budget=2)")
     ('bbvh', 'sbvh(bins=8,budget=2)')
@@ -94,18 +94,18 @@ def split(text: str) -> tuple[str, ...]:
 
 
 def parse(text: str) -> list[Chosen]:
-    """Read a builder with its options.
+    """Parse a builder with its options.
 
     Parameters
     ----------
     text : str
-        ``NAME`` or ``NAME(option=value,...)``. A value ``LOW..HIGH:STEP`` of a number stands for
-        each of these values (``:STEP`` may be left out for a step of 1).
+        ``NAME`` or ``NAME(option=value,...)``. A numeric value ``LOW..HIGH:STEP`` is a sweep over
+        these values; the step is 1 by default.
 
     Returns
     -------
     list of Chosen
-        One, or one for each value of a sweep.
+        One, or one for each case of a sweep.
 
     Raises
     ------
@@ -141,12 +141,12 @@ def parse(text: str) -> list[Chosen]:
 
 
 def parse_all(texts: Sequence[str]) -> list[Chosen]:
-    """Read several. What a sweep shares with the others is taken once.
+    """Parse several builders. A case of a sweep that is also named elsewhere is taken once.
 
     Raises
     ------
     MibvhError
-        As :func:`parse`, and if one is named twice.
+        As for :func:`parse`, or if a builder is named twice.
     """
     found: list[Chosen] = []
     for chosen in (one for text in texts for one in parse(text)):
@@ -158,7 +158,7 @@ def parse_all(texts: Sequence[str]) -> list[Chosen]:
 
 
 def _values(text: str, value: str, default: Any) -> list[Any]:
-    """One value of an option, or those of a sweep."""
+    """Parse the value of an option, or the values of a sweep."""
     low, dots, rest = value.partition("..")
     if not dots or isinstance(default, bool | str):
         return [_value(value)]
@@ -179,7 +179,7 @@ def _steps(text: str, low: float, high: float, step: float) -> Iterator[float]:
 
 
 def _value(text: str) -> Any:
-    """As JSON where it is, otherwise as text."""
+    """Parse a number or boolean as JSON; anything else is text."""
     try:
         value = json.loads(text)
     except ValueError:
@@ -188,7 +188,7 @@ def _value(text: str) -> Any:
 
 
 def _checked(text: str, name: str, given: dict[str, Any], swept: bool) -> Chosen:
-    """See that the options are in range, and keep those that are not the defaults."""
+    """Check the ranges of the options, and keep those that differ from the defaults."""
     kind = get(name).options
     try:
         chosen = kind(**given)
@@ -201,7 +201,7 @@ def _checked(text: str, name: str, given: dict[str, Any], swept: bool) -> Chosen
 
 
 def _builders_in(options: Options) -> dict[str, str]:
-    """Options that name builders: those of such names whose defaults do."""
+    """Return the options whose values name builders: those whose defaults do."""
     fields = {f.name: f.default for f in dataclasses.fields(options)}
     return {key: getattr(options, key) for key in _STARTS if known(fields.get(key))}
 

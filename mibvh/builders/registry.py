@@ -1,4 +1,4 @@
-"""The registry of builders: the paper's, and the user's own."""
+"""The registry of builders: the paper's, later ones, and the user's own."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _AREA = Area()
 
 @dataclasses.dataclass(frozen=True)
 class Context:
-    """What a builder may ask of its surroundings while it runs.
+    """What a builder gets besides triangles and options.
 
     Attributes
     ----------
     progress : callable
         Called as ``progress(stage, done)`` with ``done`` from 0 to 1.
     measure : Measure
-        What a box costs.
+        The cost of a box.
     source : object
-        What the build was handed: a scene, where there is one, can trace rays.
+        The first argument of :func:`mibvh.build`. If it is a Scene, it can trace rays.
     """
 
     progress: Callable[[str, float], None] = lambda stage, done: None
@@ -41,7 +41,7 @@ class Context:
     source: Any = None
 
     def compiled_measure(self, scale: float) -> Any:
-        """Return the measure as kernels take it: None for the area, otherwise a tuple.
+        """Return the measure in the form that kernels take; None stands for the area.
 
         Parameters
         ----------
@@ -51,13 +51,13 @@ class Context:
         return self.measure.compiled(scale)
 
     def start(self, triangles: Any, name: str, options: Options) -> Draft:
-        """Build the draft an optimiser starts from, with the optimiser's cost constants."""
+        """Build the draft that an optimiser starts from, with the optimiser's cost constants."""
         entry = get(name)
         return entry.draft(triangles, entry.start_options(options), self)
 
 
 BuildFunction = Callable[[Any, Any, Context], Any]
-#: Bytes per triangle that a builder takes at most, where it does not state them.
+#: Bytes per triangle that a builder needs at most, unless it declares its own figure.
 DEFAULT_MEMORY = 600.0
 WideFunction = Callable[[Any, Any, int], WideTree]
 
@@ -69,22 +69,22 @@ class Builder:
     Attributes
     ----------
     name, summary, source : str
-        What it is called, one line on what it does, the paper it comes from.
+        Its name, one line on what it does, and the paper that it comes from.
     options : type
         A subclass of :class:`Options`.
     function : callable
         ``function(triangles, options, context)`` returning a :class:`Draft`, nested pairs of
         triangle ids (see :meth:`Draft.from_nested`), or a finished :class:`~mibvh.Tree`.
     version : str or None
-        Of a user's builder, if it declares one: a study keeps its trees while this is the same,
-        and builds them anew in every run where there is none.
+        Version of a user's builder. A study keeps its trees as long as this stays the same; without
+        a version it builds them in every run.
     wide : callable or None
-        ``wide(triangles, options, width)`` returning a :class:`~mibvh.WideTree`, of a builder that
+        ``wide(triangles, options, width)`` returning a :class:`~mibvh.WideTree`, if the builder
         makes wide trees itself.
     traces : bool
         Whether it asks the scene for rays, so that its trees depend on the cameras.
     memory : float
-        Bytes per triangle that a build takes at most, with the default options.
+        Bytes per triangle that a build needs at most, with the default options.
     """
 
     name: str
@@ -99,22 +99,22 @@ class Builder:
 
     @property
     def asks_scene(self) -> bool:
-        """Whether its trees may depend on more of a scene than the triangles."""
+        """Whether its trees may depend on more of a scene than its triangles."""
         return self.traces or not self.bundled
 
     @property
     def bundled(self) -> bool:
-        """Whether it is of this package, and not a user's own of the same name."""
+        """Whether it belongs to this package; a user's builder may have the same name."""
         module = {**_BUNDLED, **_LATER}.get(self.name)
         return module is not None and getattr(self.function, "__module__", None) == module
 
     def options_of(self, given: Mapping[str, Any]) -> Options:
-        """Options by name.
+        """Return its options from keyword arguments.
 
         Raises
         ------
         MibvhError
-            If the builder has none of that name, or the value is impossible.
+            If the builder has no option of a given name, or a value is impossible.
         """
         known = {f.name for f in dataclasses.fields(self.options)}
         if unknown := sorted(set(given) - known):
@@ -125,12 +125,12 @@ class Builder:
         return self.options(**given)
 
     def references(self, triangles: int, options: Options) -> int:
-        """How many references a tree of so many triangles may have."""
+        """Return the largest number of references of a tree over so many triangles."""
         budget = getattr(options, "budget", 0.0) + getattr(options, "beta", 0.0)
         return int(triangles * (1.0 + budget) * (1.0 + options.presplit))
 
     def memory_of(self, triangles: int, options: Options) -> float:
-        """Bytes that building a tree of so many triangles takes at most."""
+        """Return the largest number of bytes that building a tree needs, its start included."""
         default = self.references(triangles, self.options())
         own = self.memory * triangles * self.references(triangles, options) / max(default, 1)
         starts = (getattr(options, name, None) for name in ("start", "base"))
@@ -138,7 +138,7 @@ class Builder:
         return max(own, *(o.memory_of(triangles, o.start_options(options)) for o in others), 0.0)
 
     def check_room(self, triangles: Triangles, options: Options) -> None:
-        """Refuse a build that memory, or the numbering of nodes, is too small for.
+        """Refuse a build that needs too much memory, or more nodes than int32 can number.
 
         Raises
         ------
@@ -149,13 +149,13 @@ class Builder:
         require_memory(self.memory_of(len(triangles), options), what)
 
     def start_options(self, of: Options) -> Options:
-        """Options for a tree that a builder with these options starts from."""
+        """Return this builder's options for the start tree of a builder with the options ``of``."""
         common = {f.name: getattr(of, f.name) for f in dataclasses.fields(Options)}
-        common["presplit"] = 0.0  # done before the optimiser got the triangles
+        common["presplit"] = 0.0  # the optimiser's triangles are split already
         return self.options(**common)
 
     def draft(self, triangles: Any, options: Options, context: Context) -> Draft:
-        """Run the builder proper, without the shared finishing.
+        """Run the builder without the shared finishing.
 
         Raises
         ------
@@ -168,7 +168,7 @@ class Builder:
         return made
 
     def run(self, triangles: Any, options: Options, context: Context) -> Draft | Tree:
-        """Return the builder's draft, or the tree of one that finishes its own."""
+        """Run the builder and return its draft, or its tree if it returns a finished one."""
         return share(
             self.name, triangles, options, context, lambda: self._made(triangles, options, context)
         )
@@ -188,14 +188,14 @@ class Builder:
             raise MibvhError(f"builder {self.name}: {error}") from error
 
     def guard(self, function: Callable[..., Any]) -> contextlib.AbstractContextManager[None]:
-        """Whatever a user's own builder raises within becomes one sentence."""
+        """Turn whatever a user's builder raises in the block into one sentence."""
         return guard(f"builder {self.name}", function)
 
     def code(self) -> str | None:
-        """What stands for the builder's code in the key of a kept tree; None if nothing does.
+        """Return the hash or version of the builder's code for cache keys; None if there is none.
 
-        The code of a builder of this package can be followed. What a user's own reads, calls or
-        imports cannot: its author says by a version when its trees change.
+        The code of a bundled builder is followed through its imports. That is impossible for a
+        user's builder, so its author declares a version that changes with its trees.
         """
         if self.bundled:
             return code_digest("mibvh.builders.building")
@@ -226,8 +226,7 @@ _BUNDLED: dict[str, str] = {
     "treelet": "mibvh.builders.treelet",
     "streelet": "mibvh.builders.treelet",
 }
-#: Builders that the paper's authors did not see, by the same rule. They are no part of the
-#: paper's comparison, so nothing takes them that does not ask for them.
+#: Builders that are not in the paper's comparison. Studies include them only by name.
 _LATER: dict[str, str] = {
     "binned": "mibvh.builders.binned",
     "ploc": "mibvh.builders.ploc",
@@ -252,36 +251,36 @@ def builder(
     traces: bool = False,
     memory: float = DEFAULT_MEMORY,
 ) -> Callable[[BuildFunction], BuildFunction]:
-    """Register a builder; the study and the command line take it like the paper's own.
+    """Register a builder for studies and the command line.
 
     Parameters
     ----------
     name : str
-        What it is called; a name that is taken gets the new builder.
+        Its name. A builder that already has this name is replaced.
     summary, source : str
-        One line on what it does, and the paper it comes from.
+        One line on what it does, and the paper that it comes from.
     options : type
         A frozen, keyword-only dataclass that inherits from :class:`Options`, each field from
         :func:`option`.
     version : str, optional
-        To be changed with everything that changes the builder's trees: a study keeps trees of a
-        builder with a version, and builds those of one without in every run.
+        Change it whenever the builder's trees change. A study keeps the trees of a builder with a
+        version; without one it builds them in every run.
     wide : callable, optional
-        ``wide(triangles, options, width)``, which returns a :class:`~mibvh.WideTree`: what
-        :func:`mibvh.build_wide` calls instead of collapsing the builder's binary tree.
+        ``wide(triangles, options, width)``, which returns a :class:`~mibvh.WideTree`.
+        :func:`mibvh.build_wide` calls it instead of collapsing the builder's binary tree.
     traces : bool
         Whether it asks the scene for rays (:attr:`Context.source`).
     memory : float
-        Bytes per triangle that a build takes at most, with the default options: one that memory
-        is too small for is refused before it begins.
+        Bytes per triangle that a build needs at most, with the default options. A build that
+        needs more than is available is refused before it begins.
 
     Returns
     -------
     callable
-        Decorator of ``function(triangles, options, context)``, which returns nested pairs of
-        triangle ids (:meth:`Draft.from_nested`), or a :class:`Draft` where it splits triangles
-        (:class:`References`) or goes on from another builder's (:meth:`Context.start`). A
-        finished :class:`~mibvh.Tree` is kept as it is: no box, leaf or reference is changed.
+        Decorator for ``function(triangles, options, context)``. The function returns nested pairs
+        of triangle ids (:meth:`Draft.from_nested`); or a :class:`Draft`, if it splits triangles
+        (:class:`References`) or improves another builder's tree (:meth:`Context.start`); or a
+        finished :class:`~mibvh.Tree`, of which no box, leaf or reference is changed.
 
     Examples
     --------
@@ -297,7 +296,7 @@ def builder(
 
     def register(function: BuildFunction) -> BuildFunction:
         new = Builder(name, summary, source, options, function, version, wide, traces, memory)
-        # A bundled builder is imported when it is asked for; a user's own of its name stays.
+        # Bundled builders are imported on first use, and must not replace a user's of that name.
         if name not in _registered or not new.bundled:
             _registered[name] = new
         return function
@@ -306,29 +305,29 @@ def builder(
 
 
 def names() -> list[str]:
-    """Names of the paper's builders, then the user's in order of registration."""
+    """Return the names that a study takes by default: the paper's, then the user's builders."""
     known = [*_BUNDLED, *_LATER]
     return [*_BUNDLED, *(name for name in _registered if name not in known)]
 
 
 def later_names() -> list[str]:
-    """Names of the builders that came after the paper."""
+    """Return the names of the bundled builders that came after the paper."""
     return list(_LATER)
 
 
 def all_names() -> list[str]:
-    """All names: the paper's, the later ones, the user's."""
+    """Return all names: the paper's, the later ones, the user's."""
     paper = list(_BUNDLED)
     return [*paper, *_LATER, *(name for name in names() if name not in paper)]
 
 
 def get(name: str) -> Builder:
-    """Look a builder up by name.
+    """Look up a builder by name.
 
     Raises
     ------
     MibvhError
-        If there is none of that name.
+        If there is no builder of that name.
     """
     bundled = {**_BUNDLED, **_LATER}
     if name not in _registered and name in bundled:
@@ -342,5 +341,5 @@ def get(name: str) -> Builder:
 
 
 def of_paper(entry: Builder) -> bool:
-    """Whether a builder is one of the paper's, and not a user's own of the same name."""
+    """Whether a builder is one of the paper's; a user's builder may have the same name."""
     return entry.bundled and entry.name in _BUNDLED

@@ -1,8 +1,8 @@
-"""Trees that others begin with: built once for all that are built of the same triangles.
+"""Drafts that several builders start from, built once for the same triangles.
 
-The paper's optimisers start from another builder's tree. In a study that tree is mostly built
-anyway; here its draft is kept for them, a large one in a file. What they are said to take includes
-the time it took.
+The paper's optimisers start from another builder's tree, which a study usually builds anyway. Its
+draft is kept here for them, in a file if it is large. The time that it took still counts for each
+of them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 
 T = TypeVar("T")
 
-#: Bytes of a draft from which on it is kept in a file: that of 2.5 million triangles.
+#: Drafts of at least so many bytes are kept in a file: about 2.5 million triangles.
 LARGE = 1.5e8
 
 
@@ -34,13 +34,13 @@ class Drafts:
     Attributes
     ----------
     digest : str
-        Of the triangles.
+        Digest of the triangles.
     folder : Path or None
-        For files of the large ones.
+        Folder for the files of large drafts.
     wanted : frozenset of (str, options)
         Builders and options whose drafts are worth keeping.
     spared : float
-        Seconds that were not spent since a draft was here.
+        Seconds of building that kept drafts have saved so far.
     """
 
     digest: str
@@ -50,7 +50,7 @@ class Drafts:
     _kept: dict[Any, tuple[Callable[[], Any], float]] = dataclasses.field(default_factory=dict)
 
     def want(self, builders: frozenset[Any]) -> None:
-        """Keep drafts of these builders and options from here on, and let go of all others."""
+        """Keep drafts of these builders and options from now on, and drop all others."""
         self.wanted = builders
         for key in [key for key in self._kept if key[:2] not in builders]:
             again, _ = self._kept.pop(key)
@@ -65,20 +65,20 @@ class Drafts:
             seconds = time.perf_counter() - started + self.spared - spared
             self._kept[key] = self._keep(made), seconds
             if isinstance(self._kept[key][0], _InFile):
-                return made  # which nothing else has
+                return made  # the file is the kept copy
         else:
             self.spared += self._kept[key][1]
         return cast(T, self._kept[key][0]())
 
     def _keep(self, made: Any) -> Callable[[], Any]:
-        """Return what makes copies, as nobody promises to leave the arrays as they are."""
+        """Return a function that makes copies, because builders may change the arrays."""
         if _size(made) < LARGE or getattr(made, "measure", None) is not None:
             return functools.partial(copy.deepcopy, made)
         return _InFile(made, self.folder)
 
 
 class _InFile:
-    """A draft in a file, which goes when nothing asks for it any more."""
+    """A draft in a temporary file, which is deleted once it is closed."""
 
     def __init__(self, made: Any, folder: Path | None) -> None:
         self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - goes with the draft
@@ -114,7 +114,7 @@ def shared_drafts(digest: str, folder: Path | None = None) -> Iterator[Drafts]:
     ----------
     digest : str
     folder : Path, optional
-        For files of the large ones; by default the system's for temporary files.
+        Folder for the files of large drafts; by default the system's temporary folder.
     """
     drafts = Drafts(digest, folder)
     token = _current.set(drafts)
@@ -126,7 +126,7 @@ def shared_drafts(digest: str, folder: Path | None = None) -> Iterator[Drafts]:
 
 
 def spared() -> float:
-    """Seconds that builds have been spared so far; differences of it tell of one build."""
+    """Return the seconds that kept drafts have saved so far; take differences for one build."""
     drafts = _current.get()
     return drafts.spared if drafts else 0.0
 
@@ -137,10 +137,12 @@ def share(name: str, triangles: Any, options: Any, context: Any, make: Callable[
     Parameters
     ----------
     name : str
-        Of the builder.
+        Name of the builder.
     triangles, options, context
-        What it is given. All of the context counts but its progress.
+        Its arguments. Drafts are shared only if all of them agree; the context's ``progress`` does
+        not count.
     make : callable
+        Makes the draft.
     """
     drafts = _current.get()
     if drafts is None or (name, options) not in drafts.wanted:

@@ -1,4 +1,4 @@
-"""The commands by name, and the options that stand before any of them."""
+"""The commands by name, and the options that precede them."""
 
 from __future__ import annotations
 

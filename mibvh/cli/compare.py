@@ -1,4 +1,4 @@
-"""Two trees of a scene, side by side."""
+"""The command that compares two trees of a scene."""
 
 from __future__ import annotations
 

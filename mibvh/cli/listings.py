@@ -1,4 +1,4 @@
-"""What there is: builders, experiments, predictors, notebooks, and on this machine."""
+"""Commands that list builders, experiments, predictors and notebooks, and check this machine."""
 
 from __future__ import annotations
 

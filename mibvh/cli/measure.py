@@ -1,4 +1,4 @@
-"""Trees and rays measured: metrics, audit, ray sets, traversal."""
+"""Commands that measure: metrics, audit, ray sets, traversal."""
 
 from __future__ import annotations
 
@@ -83,11 +83,13 @@ def _print_audit(audited: Audit) -> None:
 def rays(
     scene: SceneArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="the ray file to write")],
-    viewpoints: Annotated[int | None, typer.Option(help="how many cameras; all by default")] = None,
+    viewpoints: Annotated[
+        int | None, typer.Option(help="number of cameras; all by default")
+    ] = None,
     width: Annotated[int, typer.Option(help="pixels per viewpoint")] = 320,
     height: Annotated[int, typer.Option(help="pixels per viewpoint")] = 240,
     samples: Annotated[int, typer.Option(help="paths per pixel")] = 4,
-    bounces: Annotated[int, typer.Option(help="diffuse rays per path, at most")] = 1,
+    bounces: Annotated[int, typer.Option(help="largest number of diffuse rays per path")] = 1,
     seed: Annotated[int, typer.Option(help="seed of the random numbers")] = 0,
     kind: Annotated[
         str, typer.Option(help="diffuse, primary, shadow, ao, or bounce2, shadow2, ...")
@@ -128,16 +130,18 @@ def trace(
             "fastest, and the only one of wide trees"
         ),
     ] = None,
-    cull: Annotated[bool, typer.Option(help="re-test popped nodes against the hit")] = False,
-    any_hit: Annotated[bool, typer.Option(help="end at the first hit found")] = False,
+    cull: Annotated[
+        bool, typer.Option(help="re-test popped nodes against the current hit")
+    ] = False,
+    any_hit: Annotated[bool, typer.Option(help="end each ray at the first hit found")] = False,
     child_order: Annotated[
         str | None,
         typer.Option(
-            help="of any-hit rays in the wide style, instead of near first: larger, blocking "
-            "(most likely to block), or worth (that over the cost of looking)"
+            help="order of children for any-hit rays in the wide style, instead of near first: "
+            "larger, blocking (likeliest to block), or worth (that likelihood over the cost)"
         ),
     ] = None,
-    repeats: Annotated[int, typer.Option(help="timed launches")] = 5,
+    repeats: Annotated[int, typer.Option(help="number of timed launches")] = 5,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="hits to write")] = None,
     define: Define = None,
     as_json: Json = False,

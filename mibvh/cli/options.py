@@ -1,4 +1,4 @@
-"""Arguments that several commands take, and how NAME=VALUE is read."""
+"""Arguments shared by several commands, and parsers for NAME=VALUE."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ TreeOutput = Annotated[Path, typer.Option("-o", "--output", help="the tree file 
 FileOutput = Annotated[Path, typer.Option("-o", "--output", help="the file to write")]
 Define = Annotated[
     list[str] | None,
-    typer.Option("-D", "--define", help="NAME=VALUE for $NAME in a Mitsuba XML file"),
+    typer.Option("-D", "--define", help="sets $NAME in a Mitsuba XML file, as NAME=VALUE"),
 ]
 LayoutOption = Annotated[
     str | None,
     typer.Option(
-        help="mibvh, tinybvh, madmann91, npz, or of wide trees mbvh4, mbvh8; by default npz by its "
-        "ending, else mibvh"
+        help="mibvh, tinybvh, madmann91, npz; for wide trees mbvh4, mbvh8; by default npz for "
+        "that file ending, otherwise mibvh"
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object")]
 
 
 def parse_pairs(pairs: list[str] | None, option: str = "--option") -> dict[str, str]:
-    """Split ``name=value`` pairs, given as this option."""
+    """Split ``name=value`` pairs; errors name the option that they were given as."""
     parsed = {}
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
@@ -45,12 +45,12 @@ def parse_pairs(pairs: list[str] | None, option: str = "--option") -> dict[str, 
 
 
 def parse_defines(pairs: list[str] | None) -> dict[str, str]:
-    """Split what ``-D`` gives."""
+    """Split the pairs given by ``-D``."""
     return parse_pairs(pairs, "-D")
 
 
 def parse_options(pairs: list[str] | None) -> dict[str, Any]:
-    """Split ``name=value`` pairs; values as JSON where they are, otherwise as text."""
+    """Split ``name=value`` pairs; values are parsed as JSON, or else are text."""
     options: dict[str, Any] = {}
     for name, value in parse_pairs(pairs).items():
         try:

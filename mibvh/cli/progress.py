@@ -1,4 +1,4 @@
-"""Signs of life on standard error, and the loading of scenes with them."""
+"""Progress on standard error, and loading scenes with it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Any]:
-    """A progress bar on standard error; where that is no terminal, a line every few seconds."""
+    """A progress bar on standard error, or a line every few seconds if that is no terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -45,7 +45,7 @@ def progress_bar() -> Iterator[Any]:
 
 @contextlib.contextmanager
 def shares(what: str) -> Iterator[Callable[[float], None]]:
-    """A bar of one task: gives what is to be called with the share that is done."""
+    """Show one task; yield a callback for the share that is done."""
     with progress_bar() as bar:
         task = bar.add_task(what, total=1.0)
         yield lambda done: bar.update(task, completed=done)
@@ -53,7 +53,7 @@ def shares(what: str) -> Iterator[Callable[[float], None]]:
 
 @contextlib.contextmanager
 def stages(what: str, prefix: str = "") -> Iterator[Callable[[str, float], None]]:
-    """A bar of one stage after the other: gives what is to be called with stage and share."""
+    """Show one stage after the other; yield a callback for the stage and its share."""
     with progress_bar() as bar:
         yield show_stages(bar, bar.add_task(what, total=1.0), prefix)
 
@@ -71,7 +71,7 @@ def show_stages(bar: Any, task: Any, prefix: str = "") -> Callable[[str, float],
 
 
 def doing(what: str) -> Heartbeat:
-    """Say every few seconds what a command without progress is doing."""
+    """Name the work of a command without progress every few seconds."""
 
     def say() -> bool:
         typer.echo(f"mibvh: {what} ...", err=True)
@@ -82,13 +82,13 @@ def doing(what: str) -> Heartbeat:
 
 @contextlib.contextmanager
 def signs_of_life() -> Iterator[None]:
-    """Say, where no terminal is, that a command is at work, whatever it does."""
+    """Print a line now and then while a command is at work, if there is no terminal."""
     with contextlib.nullcontext() if sys.stderr.isatty() else doing("at work"):
         yield
 
 
 def load(source: str, define: list[str] | None = None) -> Scene:
-    """Load a scene, and say on standard error what could not be read as it is."""
+    """Load a scene, and print its notes on standard error."""
     with doing(f"loading {source}"):
         scene = mibvh.load(source, parse_defines(define))
     say_notes(scene.name, scene.notes)
@@ -96,6 +96,6 @@ def load(source: str, define: list[str] | None = None) -> Scene:
 
 
 def say_notes(scene: str, notes: list[str]) -> None:
-    """Say on standard error what could not be read as it is."""
+    """Print the notes of a scene on standard error."""
     for note in notes:
         typer.echo(f"mibvh: {scene}: {note}", err=True)

@@ -1,4 +1,4 @@
-"""The bundled scenes, and those of the paper."""
+"""Commands for the bundled scenes, and for those of the paper."""
 
 from __future__ import annotations
 

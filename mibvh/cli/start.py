@@ -1,4 +1,4 @@
-"""Where the command line starts, and how its errors end it."""
+"""The entry point of the command line, and its exit codes after errors."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def _keep_stdout_for_results() -> None:
 
 
 def _print_traceback(error: Exception) -> None:
-    """Print it where ``--debug`` asks for it."""
+    """Print the traceback of an error, if ``--debug`` was given."""
     if os.environ.get("MIBVH_DEBUG"):
         traceback.print_exception(error)
 
 
 def _say_refused(error: OSError) -> None:
-    """Say what the system refused: without a name, that is standard output."""
+    """Print an error of the system; one without a file name concerns standard output."""
     said = f"{error.filename}:" if error.filename else "standard output: cannot be written"
     with contextlib.suppress(OSError):  # standard error may be full too
         sys.stderr.write(f"mibvh: {said} ({error.strerror or error})\n")

@@ -1,4 +1,4 @@
-"""Studies of scenes and builders, and their reports."""
+"""The commands that run a study and write its report."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ if TYPE_CHECKING:
 
 def study(
     scenes: Annotated[
-        list[str], typer.Argument(metavar="SCENE...", help="as for build, or folders of scenes")
+        list[str], typer.Argument(metavar="SCENE...", help="as for build; or folders of scenes")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="folder of the results")],
     builders: Annotated[
         str | None,
         typer.Option(
-            help='names, comma-separated; all of the paper\'s by default; "" for the given trees '
-            "alone. With options: bittner(start=sbvh), or sbvh(bins=8..128:8) for a tree with "
-            "each value"
+            help="names, comma-separated; by default the paper's nine and your own; '' for given "
+            "trees only. With options: bittner(start=sbvh), or sbvh(bins=8..128:8) for one tree "
+            "with each value"
         ),
     ] = None,
     tree: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=FILE[,FILE...]",
-            help="a finished tree, kept as it is; one file per scene; may be repeated",
+            help="a finished tree, used unchanged; one file per scene; may be repeated",
         ),
     ] = None,
     rays: Annotated[
         str | None,
         typer.Option(
             metavar="FILE[,FILE...]",
-            help="rays of your own, one file per scene; or kinds of rays to study beside the "
-            "diffuse ones: diffuse, shadow, ao, primary, bounce2, ..., with weights as shadow:2",
+            help="your own rays, one file per scene; or kinds of rays to study as well: diffuse, "
+            "shadow, ao, primary, bounce2, ..., with weights as in shadow:2",
         ),
     ] = None,
     widths: Annotated[
@@ -55,21 +55,29 @@ def study(
             "--widths",
             "--width",
             metavar="2,4,8",
-            help="also collapse the trees to so many children",
+            help="also collapse the trees to nodes of so many children",
         ),
     ] = "",
     profile: Annotated[str, typer.Option(help="quick or paper")] = "quick",
     experiments: Annotated[
         str, typer.Option(help="names from `mibvh experiments`, comma-separated; or all")
     ] = "",
-    seconds: Annotated[float | None, typer.Option(help="stopwatch budget per lane mode")] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            help="time budget of the stopwatch per scene and lane mode; the profile's by default"
+        ),
+    ] = None,
     samples: Annotated[
         int | None, typer.Option(help="paths per pixel; the profile's by default")
     ] = None,
     seed: Annotated[int, typer.Option(help="seed of the rays")] = 0,
     warp_width: Annotated[int, typer.Option(help="lanes of the simulated warps")] = 32,
     warp_style: Annotated[
-        str, typer.Option(help="their kernel: persistent (the paper's), speculative, single, ...")
+        str,
+        typer.Option(
+            help="kernel of the simulated warps: persistent (the paper's), speculative, single, ..."
+        ),
     ] = "persistent",
     styles: Annotated[
         str,
@@ -80,11 +88,12 @@ def study(
     ] = "single",
     variant: Annotated[
         str | None,
-        typer.Option(help="of Mitsuba: llvm_ad_rgb (the default), cuda_ad_rgb, ..."),
+        typer.Option(help="Mitsuba's variant: llvm_ad_rgb (the default), cuda_ad_rgb, ..."),
     ] = None,
     define: Define = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="a Dask cluster that studies the scenes")
+        str | None,
+        typer.Option(metavar="ADDRESS", help="scheduler of a Dask cluster to study the scenes on"),
     ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="print JSON lines: progress, then the result")
@@ -192,7 +201,7 @@ def _print_findings(result: Study) -> None:
 def report(
     folder: Annotated[Path, typer.Argument(help="folder of a study")],
     figures: Annotated[
-        str, typer.Option(help="what to draw figures as beside SVG: pdf, png or both")
+        str, typer.Option(help="further formats of the figures, which are SVG: pdf, png or pdf,png")
     ] = "",
     as_json: Json = False,
 ) -> None:

@@ -1,4 +1,4 @@
-"""Trees: build, improve and collapse them; read and write those of other programs."""
+"""Commands for trees: build, optimise, collapse, import and export."""
 
 from __future__ import annotations
 
@@ -27,8 +27,11 @@ def build(
     scene: SceneArgument,
     output: TreeOutput,
     builder: Annotated[str, typer.Option(help="a name from `mibvh builders`")] = "bbvh",
-    option: Annotated[list[str] | None, typer.Option(help="NAME=VALUE, an option of it")] = None,
-    width: Annotated[int, typer.Option(help="children per node: 4 or 8 for a wide tree")] = 2,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(help="an option of the builder, as NAME=VALUE; may be repeated"),
+    ] = None,
+    width: Annotated[int, typer.Option(help="children per node: 2, or 4 or 8 for a wide tree")] = 2,
     define: Define = None,
     as_json: Json = False,
 ) -> None:
@@ -57,7 +60,8 @@ def optimize(
     scene: SceneArgument,
     output: TreeOutput,
     option: Annotated[
-        list[str] | None, typer.Option(help="NAME=VALUE, an option of the builder `finite`")
+        list[str] | None,
+        typer.Option(help="an option of the builder `finite`, as NAME=VALUE; may be repeated"),
     ] = None,
     define: Define = None,
     as_json: Json = False,
@@ -84,17 +88,19 @@ def optimize(
 def collapse(
     tree: TreeArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="the wide tree file to write")],
-    width: Annotated[int, typer.Option(help="children of a node, at most: 2, 4 or 8")] = 8,
+    width: Annotated[int, typer.Option(help="largest number of children per node: 2, 4 or 8")] = 8,
     method: Annotated[
-        str, typer.Option(help="optimal (the least SAH), or greedy (the largest child first)")
+        str, typer.Option(help="optimal (the lowest SAH), or greedy (open the largest child first)")
     ] = "optimal",
     max_leaf: Annotated[
-        int | None, typer.Option(help="make larger leaves where they are cheaper, up to this")
+        int | None, typer.Option(help="also merge leaves where that is cheaper, up to this size")
     ] = None,
-    quantise: Annotated[bool, typer.Option("--quantise", help="boxes of 8 bits")] = False,
+    quantise: Annotated[
+        bool, typer.Option("--quantise", help="store boxes in 8 bits per coordinate")
+    ] = False,
     as_json: Json = False,
 ) -> None:
-    """Collapse a tree to nodes of more children: `metrics`, `audit` and `trace` take it, too."""
+    """Collapse a tree to nodes of more children, for `metrics`, `audit` and `trace`."""
     binary = mibvh.Tree.load(tree)
     wide = mibvh.collapse(binary, width, method=method, max_leaf=max_leaf)  # type: ignore[arg-type]
     wide = mibvh.quantised(wide) if quantise else wide
@@ -107,9 +113,9 @@ def import_tree(
     output: TreeOutput,
     layout: LayoutOption = None,
     scene: Annotated[
-        str | None, typer.Option(help="what it was built for; checks the tree against it")
+        str | None, typer.Option(help="the scene that it was built for, to check it against")
     ] = None,
-    name: Annotated[str, typer.Option(help="name of the tree; the file's by default")] = "",
+    name: Annotated[str, typer.Option(help="name of the tree; by default that of the file")] = "",
     define: Define = None,
     as_json: Json = False,
 ) -> None:

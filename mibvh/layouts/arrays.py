@@ -1,4 +1,4 @@
-"""Any binary tree in arrays, renumbered to ours without changing a box, a leaf or a reference."""
+"""Renumber another program's binary tree, without changing a box, a leaf or a reference."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mibvh.nodes import PAPER_COSTS, Nodes
 
 I64 = npt.NDArray[np.int64]
 
-#: What :func:`_renumber` may find, by the number that it returns.
+#: Messages for the violations that :func:`_renumber` returns.
 _VIOLATIONS = {
     1: "node {node} has the children {left} and {right}, which are not among the {nodes} nodes",
     2: "node {node} is reached twice: it is the child of two nodes, or its own ancestor",
@@ -80,7 +80,7 @@ def renumbered(
 
 
 def to_arrays(tree: Nodes) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of a valid tree; see :meth:`mibvh.Tree.to_arrays`."""
+    """Return the arrays of a valid tree; see :meth:`mibvh.Tree.to_arrays`."""
     return {
         "lower": tree.lower,
         "upper": tree.upper,
@@ -93,7 +93,7 @@ def to_arrays(tree: Nodes) -> dict[str, npt.NDArray[Any]]:
 
 
 def int_column(name: str, values: Any, length: int | None = None) -> I64:
-    """One column as int64; unsigned numbers beyond the half are the negative ones of their bits."""
+    """Return one column as int64; unsigned integers are reinterpreted as signed ones."""
     array = np.asarray(values)
     if array.dtype.kind not in "iu" or array.ndim != 1:
         raise MibvhError(f"{name} is {array.dtype} {array.shape}, not a row of whole numbers")
@@ -105,7 +105,7 @@ def int_column(name: str, values: Any, length: int | None = None) -> I64:
 
 
 def box_column(name: str, values: Any, nodes: int, away: float) -> npt.NDArray[np.float32]:
-    """Corners as float32; those of wider types are rounded outwards."""
+    """Return (M, 3) box corners as float32; wider types are rounded towards ``away``."""
     array = np.asarray(values)
     if array.dtype.kind != "f" or array.shape != (nodes, 3):
         raise MibvhError(f"{name} is {array.dtype} {array.shape}, not {nodes} corners of 3 numbers")
@@ -116,7 +116,7 @@ def box_column(name: str, values: Any, nodes: int, away: float) -> npt.NDArray[n
 
 
 def _leaves(left: I64, first: Any, count: Any, nodes: int) -> tuple[Any, I64, I64]:
-    """Which nodes are leaves, and their ranges, by the ways that these are told in."""
+    """Return which nodes are leaves, and their ranges, for each convention of `from_arrays`."""
     negative = left < 0
     if count is None and first is not None:
         raise MibvhError("first needs count")
@@ -131,7 +131,7 @@ def _leaves(left: I64, first: Any, count: Any, nodes: int) -> tuple[Any, I64, I6
 
 
 def _ids(references: Any, leaf: Any, first: I64, count: I64) -> npt.NDArray[np.int32]:
-    """Triangle ids that the ranges are in; by default the places themselves."""
+    """Return the triangle ids that the ranges index; by default the positions themselves."""
     if references is None:
         end = int((first[leaf] + count[leaf]).max(initial=0))
         if end > count[leaf].sum():
@@ -141,12 +141,12 @@ def _ids(references: Any, leaf: Any, first: I64, count: I64) -> npt.NDArray[np.i
 
 
 def triangle_ids(references: Any) -> npt.NDArray[np.int32]:
-    """Triangle ids as int32.
+    """Return triangle ids as int32.
 
     Raises
     ------
     MibvhError
-        If they are no whole numbers, or one is negative or too large.
+        If they are not integers, or one is negative or too large.
     """
     ids = int_column("references", references)
     if len(ids) and not (ids.min() >= 0 and ids.max() < 2**31):
@@ -155,7 +155,7 @@ def triangle_ids(references: Any) -> npt.NDArray[np.int32]:
 
 
 def _root(left: I64, right: I64, nodes: int) -> int:
-    """Node 0, or, where that is a child, the one node without a parent."""
+    """Return the root: node 0 or, if that is a child, the only node without a parent."""
     inner = np.flatnonzero(left >= 0)
     children = np.concatenate([left[inner], right[inner]])
     named = np.zeros(nodes, bool)
@@ -171,7 +171,7 @@ def _root(left: I64, right: I64, nodes: int) -> int:
 
 
 def _dense(ids: npt.NDArray[np.int32]) -> int | None:
-    """How many triangles there are, if each of them has a reference."""
+    """Return the number of triangles if each has a reference, otherwise None."""
     largest = int(ids.max(initial=-1)) + 1
     if largest > len(ids):
         return None

@@ -1,4 +1,4 @@
-"""Mesh files: one module a format, and the checks that all of them pass."""
+"""Mesh files: one module per format, and the checks that every mesh has to pass."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from mibvh.errors import MibvhError
 from mibvh.loading.mesh import Mesh, Refused, collapsed
 from mibvh.triangles import Triangles
 
-#: Formats that are read here, by the file's ending, and the module that does it.
+#: The module that reads a format, by the file's ending.
 _FORMATS = {"obj": "obj", "ply": "ply", "stl": "stl", "off": "off", "glb": "gltf", "gltf": "gltf"}
-#: What trimesh opens besides, and is no surface of triangles, or packs several files.
+#: Formats that trimesh opens too, but that are archives or no surfaces of triangles.
 _NOT_MESHES = frozenset(["bz2", "tar.bz2", "tar.gz", "zip", "xyz", "dxf", "stl_ascii"])
 
 
 def mesh_formats() -> frozenset[str]:
-    """Endings of the mesh files that are read, without the dot.
+    """Return the supported file endings, without the dot.
 
-    Beside mibvh's own those that trimesh reads where further packages are installed, such as 3MF
-    and Collada.
+    Besides mibvh's own formats these are the ones that trimesh supports with further packages, such
+    as 3MF and Collada.
     """
     import trimesh
 
@@ -44,12 +44,12 @@ def read_mesh(path: Path) -> tuple[Triangles, list[str]]:
     triangles : Triangles
         In the order of the file.
     notes : list of str
-        What was left out or done on the way, in sentences.
+        Sentences on what was left out or changed.
 
     Raises
     ------
     MibvhError
-        If it cannot be read rightly; says what stands in the way.
+        If it cannot be read correctly; the message says why.
     """
     kind = path.suffix.lower().lstrip(".")
     if kind in _NOT_MESHES | {"gz", "xz", "7z", "rar", "zst"}:
@@ -83,7 +83,7 @@ def read_mesh(path: Path) -> tuple[Triangles, list[str]]:
 
 
 def check_regular(path: Path) -> None:
-    """Refuse what is no file: to open a pipe would wait for ever.
+    """Refuse anything but a regular file: opening a pipe would block for ever.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def check_regular(path: Path) -> None:
 
 
 def printable(text: str | os.PathLike[str]) -> str:
-    r"""A file's name with what no terminal shows, and no file takes, as ``\xNN``."""
+    r"""Return a file's name with unprintable characters and invalid bytes as ``\xNN``."""
     plain = os.fspath(text).encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in plain)
 
@@ -122,7 +122,7 @@ def _by_trimesh(path: Path) -> Mesh:
 
 
 def _checked(mesh: Mesh, name: str) -> Triangles:
-    """What no reader can promise: coordinates that float32 holds, and a surface."""
+    """Convert to float32, and refuse a mesh without a surface."""
     rounded = mesh.corners.astype(np.float32)
     if len(rounded) == 0:
         detail = f" ({'; '.join(mesh.notes)})" if mesh.notes else ""

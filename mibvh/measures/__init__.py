@@ -1,4 +1,4 @@
-"""Measures: what a box costs to have in a tree, for builders, optimisers and the leaf collapse."""
+"""Measures: the cost of a box, for builders, optimisers and the leaf collapse."""
 
 from mibvh.measures.area import Area, Measure
 from mibvh.measures.flux import Flux

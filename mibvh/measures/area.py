@@ -1,4 +1,4 @@
-"""What a measure is, and the classic one."""
+"""The interface of a measure, and the surface area."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 
 class Measure(Protocol):
-    """What a box costs to have in a tree.
+    """The cost of a box in a tree.
 
     A measure must be 0 or more, and no less for a box than for one inside it: the searches of
     the optimisers leave out what cannot be better by this rule.
@@ -15,7 +15,7 @@ class Measure(Protocol):
 
     @property
     def name(self) -> str:
-        """What reports call it."""
+        """Its name in reports."""
         ...
 
     def compiled(self, scale: float) -> Any:
@@ -42,7 +42,7 @@ class Area:
 
     @property
     def name(self) -> str:
-        """What reports call it."""
+        """Its name in reports."""
         return "area"
 
     def compiled(self, scale: float) -> None:

@@ -1,4 +1,4 @@
-"""Quantities of a tree, declared once, and the registry of tree statistics.
+"""The quantities of a tree, and the registry of metrics.
 
 A :class:`Quantity` declares one number of a tree: its unit, its rays, and how a table shows it.
 A :class:`Metric` computes some quantities from a tree alone. A new metric is one file with a
@@ -21,8 +21,8 @@ from mibvh.metrics.sah import node_costs, sah_per_node
 from mibvh.tree import Tree
 from mibvh.triangles import F64, Triangles
 
-#: Populations of rays: none, all of the ray set, those whose lines are followed, those timed, those
-#: that warps are simulated with.
+#: Populations of rays: none, the whole ray set, rays whose lines are followed, rays timed in
+#: either lane mode, and those of the simulated warps.
 Population = Literal["", "all", "lines", "scalar", "simd", "warp"]
 
 
@@ -35,13 +35,13 @@ class Quantity:
     name, unit : str
         The name is the value of ``measurement`` in ``results.parquet``.
     rays : str
-        The rays that it is measured with; empty if it needs none.
+        The population of rays behind it; empty if it needs none.
     heading : str
         Heading of its column in tables for people; empty if it is written to files only.
     format : str
         Format of its values in these tables.
     help : str
-        A few words on what it is.
+        A short explanation.
     smaller_is_better : bool
         Whether the smallest value of a table is marked as the best.
     main : bool
@@ -76,7 +76,7 @@ class Quantity:
 
 
 class Subject:
-    """A tree under study; what several metrics need is computed once.
+    """A tree whose metrics are computed; it caches what several metrics need.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class Subject:
 
     @functools.cached_property
     def overlap(self) -> OverlapResult:
-        """Foreign surface inside each node."""
+        """Area of the foreign surfaces inside each node; see :func:`mibvh.metrics.epo.overlap`."""
         return overlap(self.tree, self.triangles)
 
     @functools.cached_property
@@ -106,13 +106,13 @@ class Subject:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Metric:
-    """A statistic of a tree, or several that are computed together.
+    """A metric of a tree, or several that are computed together.
 
     Attributes
     ----------
     name : str
     quantities : tuple of Quantity
-        What it computes.
+        The numbers that it computes.
     compute : callable
         ``compute(subject)`` returns a mapping with a value for each quantity's name.
     """
@@ -127,8 +127,8 @@ class Metric:
         Raises
         ------
         MibvhError
-            If one of the user's own fails, or the returned quantities are not the declared ones, or
-            no numbers.
+            If a user's metric fails, or the returned quantities are not the declared ones or not
+            numbers.
         """
         with guard(f"metric {self.name}", self.compute):
             found = dict(self.compute(subject))
@@ -142,7 +142,7 @@ class Metric:
         return values
 
     def _number(self, name: str, value: object) -> float:
-        """A plain number: records are written as JSON."""
+        """Return a plain Python number, because records are written as JSON."""
         plain = value.item() if isinstance(value, np.generic) else value
         if isinstance(plain, int | float) and (isinstance(plain, float) or abs(plain) < 1 << 63):
             return plain
@@ -155,7 +155,7 @@ _added: dict[str, Metric] = {}
 
 
 def add_metric(metric: Metric) -> Metric:
-    """Register a tree statistic. All later studies compute and show it."""
+    """Register a metric. All later studies compute and show it."""
     _added[metric.name] = metric
     return metric
 

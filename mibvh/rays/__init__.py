@@ -1,4 +1,4 @@
-"""Rays: stored sets of them, and, apart from these, how Mitsuba makes them in a scene.
+"""Ray sets, and how Mitsuba makes them in a scene.
 
 :class:`RaySet` and :func:`read_rays` know of no scene; what makes rays is loaded when first used.
 """

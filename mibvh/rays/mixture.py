@@ -1,4 +1,4 @@
-"""Mixtures of ray kinds, weighted as a renderer has them."""
+"""Mixtures of kinds of rays, weighted as in a renderer."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mibvh.rays.rayset import RaySet
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Mixture:
-    """Ray sets, each with the share that it has of all rays.
+    """Ray sets with weights.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Mixture:
         object.__setattr__(self, "weights", weights)
 
     def mean(self, value: Callable[[RaySet], float]) -> float:
-        """Mean per ray of what is told of each kind.
+        """Weighted mean of a value over the ray sets.
 
         Parameters
         ----------

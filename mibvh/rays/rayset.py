@@ -1,4 +1,4 @@
-"""Ray sets: rays as arrays, stored so that every tree traces the same."""
+"""Ray sets: rays as arrays, stored so that every tree traces the same rays."""
 
 from __future__ import annotations
 
@@ -78,12 +78,12 @@ class RaySet(Stored):
 
     @property
     def kind(self) -> str:
-        """What the rays were made as, such as ``diffuse`` or ``shadow``; see ``make_rays``."""
+        """The kind of the rays, such as ``diffuse`` or ``shadow``; see ``make_rays``."""
         return str(self.meta.get("kind", "diffuse"))
 
     @property
     def occlusion(self) -> bool:
-        """Whether any hit ends a ray, as of shadow rays; otherwise the closest is wanted."""
+        """Whether any hit ends a ray, as for shadow rays; otherwise the closest hit is needed."""
         return bool(self.meta.get("occlusion", False))
 
     def _check_values(self) -> None:
@@ -105,7 +105,7 @@ class RaySet(Stored):
                 )
 
     def check_matches(self, triangles: Triangles) -> None:
-        """See that the rays may be traced in these triangles.
+        """Raise if the rays were not made for these triangles.
 
         Raises
         ------
@@ -161,7 +161,7 @@ class RaySet(Stored):
 
 
 def _column(name: str, given: Any, rays: int) -> npt.NDArray[Any]:
-    """One of the arrays in the type and shape that it must have."""
+    """Convert one of the arrays to its type, and check its shape."""
     try:
         array = np.asarray(given)
     except ValueError:

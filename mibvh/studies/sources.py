@@ -1,4 +1,4 @@
-"""The scenes of a study before any is loaded, and which given trees and rays are of which."""
+"""The scenes of a study before they are loaded, each with its given trees and rays."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from mibvh.triangles import Triangles
 
 T = TypeVar("T")
 
-#: Of the name of a given tree: it stands in tables, figures and pages.
+#: Names that a given tree may have: they appear in tables, figures and pages.
 _NAME = re.compile(r"[\w.+-][\w.+ -]*")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Source:
-    """A scene to be studied, with what is given for it.
+    """A scene to be studied, with its given trees and rays.
 
     Attributes
     ----------
     scene
-        What :func:`mibvh.load` takes.
+        Anything that :func:`mibvh.load` takes.
     name : str
-        What it is called when it is loaded.
+        The name that it will have once it is loaded.
     trees : mapping of str to Tree or path
     rays : RaySet, path or None
     """
@@ -46,7 +46,7 @@ class Source:
     rays: Any = None
 
     def given(self) -> Given:
-        """Read the files of the trees and rays."""
+        """Return the given trees and rays; trees are read from their files on access."""
         return Given(
             _Trees(self.trees),
             read_rays(self.rays) if isinstance(self.rays, str | os.PathLike) else self.rays,
@@ -71,13 +71,13 @@ def study_sources(
     -------
     sources : list of Source
     left_out : dict of str to str
-        Scenes that cannot be found, and why.
+        Names of the scenes that cannot be found, and why.
 
     Raises
     ------
     MibvhError
-        If there are no scenes, two have one name, a tree has a builder's name, or it cannot be
-        told which scene a tree or the rays are of.
+        If there are no scenes, two scenes have the same name, a tree has the name of a builder,
+        or it is unclear to which scene a tree or the rays belong.
     """
     found, names, left_out = _named(scenes)
     for name in trees:
@@ -98,26 +98,29 @@ def study_sources(
 
 
 def checked(sources: list[Source], keep: bool) -> tuple[list[Source], dict[str, str]]:
-    """See that given trees and rays are of their scenes.
+    """Check that given trees and rays belong to their scenes.
+
+    Only scenes with given trees or rays are loaded.
 
     Parameters
     ----------
     sources : list of Source
     keep : bool
-        Whether to keep a scene that is the only one: several might be too many to hold.
+        Whether to keep the loaded scene if it is the only one; several might not fit in memory.
 
     Returns
     -------
     sources : list of Source
-        Those that can be loaded, as far as that was tried.
+        Without the scenes that failed to load.
     left_out : dict of str to str
-        The others, and why.
+        Names of the scenes that failed to load, and why.
 
     Raises
     ------
     MibvhError
-        If a tree or ray file cannot be read, rays are not of their scene, or a tree is of none of
-        its scenes. One that is of some is missing in the others, as they are studied.
+        If a tree or ray file cannot be read, rays do not belong to their scene, or a tree belongs
+        to none of its scenes. A tree that belongs to some is reported as missing in the others
+        when they are studied.
     """
     sound, left_out = [], {}
     faults: dict[str, list[MibvhError | None]] = {}
@@ -142,7 +145,7 @@ def checked(sources: list[Source], keep: bool) -> tuple[list[Source], dict[str, 
 
 
 def _named(scenes: Any) -> tuple[list[Any], list[str], dict[str, str]]:
-    """Scenes, folders taken apart; their names; and those that are not there."""
+    """Return the scenes with folders expanded, their names, and those that cannot be found."""
     found: list[Any] = []
     names: list[str] = []
     left_out: dict[str, str] = {}
@@ -164,7 +167,7 @@ def _named(scenes: Any) -> tuple[list[Any], list[str], dict[str, str]]:
 
 
 def _several(scenes: Any) -> Sequence[Any]:
-    """A sequence of scenes, also of a single one."""
+    """Return a sequence of scenes; a single scene becomes a sequence of one."""
     single = isinstance(scenes, str | os.PathLike | Scene | Triangles | np.ndarray | dict)
     if single or not isinstance(scenes, Sequence):
         try:
@@ -184,7 +187,7 @@ def _check_name(name: str) -> None:
 
 
 def _by_scene(what: str, given: Any, names: Sequence[str]) -> dict[str, Any]:
-    """What is given, by the name of the scene that it is of."""
+    """Return what is given for each scene, by the scene's name."""
     if isinstance(given, Mapping):
         for name in given:
             if name not in names:
@@ -204,7 +207,7 @@ def _by_scene(what: str, given: Any, names: Sequence[str]) -> dict[str, Any]:
 
 
 class _Trees(Mapping[str, Tree]):
-    """Given trees, each read from its file when it is asked for."""
+    """Given trees by name, each read from its file on access."""
 
     def __init__(self, given: Mapping[str, Any]) -> None:
         self._given = given

@@ -49,7 +49,7 @@ _FACTS = {"lanes": str, "lane_width": int, "issued": int, "style": str}
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Hits:
-    """What tracing a ray set through a tree gave.
+    """The result of tracing a ray set through a tree: hits, counters and times.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ class Hits:
         return c_inner * inner + c_tri * tests + c_box * (self.boxes - 2 * inner)
 
     def counters(self) -> dict[str, Any]:
-        """Return what was counted, as JSON-able values.
+        """Return the means of the counters as JSON-able values.
 
         Returns
         -------
@@ -212,7 +212,7 @@ class Hits:
 
 
 class LaunchSeconds(NamedTuple):
-    """What a launch took, by two clocks.
+    """Seconds of a launch, by two clocks.
 
     Attributes
     ----------

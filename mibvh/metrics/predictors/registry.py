@@ -107,7 +107,7 @@ class Predictor:
         return weights, self.predict(samples[this].values, weights)
 
     def knows(self, values: Values) -> bool:
-        """Whether all quantities that it needs are given."""
+        """Whether all quantities that it needs are present."""
         return all(name in values for name in self.needs)
 
 
@@ -147,7 +147,7 @@ def _bundled() -> list[Predictor]:
 
 
 def faults(samples: Sequence[Sample], this: int) -> dict[str, MibvhError]:
-    """Return why predictors of the user's own fail at a scene, by the predictor's name."""
+    """Return the errors of the user's predictors for a scene, by the predictor's name."""
     found = {}
     values = samples[this].values
     for one in _added.values():
@@ -160,7 +160,7 @@ def faults(samples: Sequence[Sample], this: int) -> dict[str, MibvhError]:
 
 
 def _forgiving(one: Predictor) -> Predictor:
-    """Return a user's predictor as one that predicts NaN where it fails."""
+    """Wrap a user's predictor so that it predicts NaN instead of failing."""
 
     def fit(samples: Sequence[Sample], this: int) -> Weights:
         try:
@@ -178,14 +178,14 @@ def _forgiving(one: Predictor) -> Predictor:
 
 
 def _fitted(one: Predictor, samples: Sequence[Sample], this: int) -> Weights:
-    """Fit a user's predictor to the trees of which all that it needs is known."""
+    """Fit a user's predictor to the trees that have all quantities it needs."""
     with guard(f"predictor {one.name}", one.fit):
         weights = one.fit([s.where(_known(one, s.values)) for s in samples], this)
         return {str(name): float(value) for name, value in dict(weights).items()}
 
 
 def _predicted(one: Predictor, values: Values, weights: Weights) -> F64:
-    """Predict by a user's predictor; NaN of trees of which something that it needs is not known."""
+    """Predict with a user's predictor; NaN for trees that lack a quantity it needs."""
     known = _known(one, values)
     found = np.full(len(known), _NONE)
     with guard(f"predictor {one.name}", one.predict):
@@ -200,7 +200,7 @@ def _predicted(one: Predictor, values: Values, weights: Weights) -> F64:
 
 
 def _known(one: Predictor, values: Values) -> npt.NDArray[np.bool_]:
-    """(K,) bool: the trees of which all that a predictor needs is known."""
+    """Return (K,) bool: the trees that have all quantities a predictor needs."""
     known = np.full(_count(values), one.knows(values))
     for name in one.needs if one.knows(values) else ():
         known &= np.isfinite(values[name])
@@ -212,7 +212,7 @@ def _count(values: Values) -> int:
 
 
 def predictor(name: str) -> Predictor:
-    """Return the predictor of that name.
+    """Look up a predictor by name.
 
     Raises
     ------
@@ -226,10 +226,10 @@ def predictor(name: str) -> Predictor:
 
 
 def glossary() -> dict[str, str]:
-    """Return what each predictor is, by name."""
+    """Return the formula of each predictor, by name."""
     return {p.name: p.formula for p in predictors()}
 
 
 def alpha_of(weights: Weights) -> float:
-    """Weight of EPO among fitted weights; NaN where there is none."""
+    """Return alpha, the weight of EPO; NaN if there is none."""
     return float(weights.get("alpha", _NONE))

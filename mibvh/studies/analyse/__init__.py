@@ -1,1 +1,1 @@
-"""What the measurements say: how well each predictor explains each of them."""
+"""Analysis of the records: how well each predictor explains each measurement."""

@@ -1,4 +1,4 @@
-"""Which predictor to use: one that needs no fit and no traversal, and that none beats for sure."""
+"""The advised predictor: without fit or traversal, and not significantly worse than any other."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Advice:
 
 
 def advice(correlations: pd.DataFrame) -> Advice | None:
-    """Return the predictor to use; None where no r is known.
+    """Return the advised predictor; None if no r is known.
 
     Predictors are compared by the mean of Fisher's z of their r with counted cost. Its standard
     error over S scenes of n trees is taken as √(2 / (n − 3) / S), as if two predictors had nothing

@@ -1,4 +1,4 @@
-"""Builders compared with each other."""
+"""Comparisons of builders."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mibvh.studies.record.scene import Records
 
 
 def relative_to(records: Records, name: str, base: str = "lbvh") -> pd.Series:
-    """Mean over the scenes of a quantity, per builder, as a share of one builder's.
+    """Mean over the scenes of a quantity, per builder, relative to one builder.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def relative_to_best(
 
 
 def splitting_builders(records: Records) -> frozenset[str]:
-    """Builders that enter some triangle more than once, in some scene."""
+    """Builders that split triangles in some scene."""
     return frozenset(
         tree.builder for record in records for tree in record.trees if record.splits_triangles(tree)
     )

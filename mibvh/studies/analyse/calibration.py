@@ -1,4 +1,4 @@
-"""What a step of a traversal costs, and what other cost constants do to the predictions."""
+"""Fitted costs of traversal steps, and predictions with other cost constants."""
 
 from __future__ import annotations
 
@@ -88,14 +88,14 @@ def calibrate(records: Records, target: str = "scalar_ns") -> StepCosts:
 
 
 def _steps(record: SceneRecord) -> F64:
-    """(K, 3) float64: inner nodes, triangle tests and 1 per ray, of each tree."""
+    """Return (K, 3) float64: inner nodes per ray, triangle tests per ray and 1, for each tree."""
     ones = np.ones(len(record.trees))
     counted = (record.column("inner_per_ray"), record.column("triangles_per_ray"))
     return np.stack([*counted, ones], axis=1)
 
 
 def _resampled(sizes: list[int], times: int) -> Iterator[npt.NDArray[np.int64]]:
-    """Draw scenes, and trees of each, as trees of one scene err alike.
+    """Resample scenes, then the trees of each, because errors within a scene are correlated.
 
     Yields
     ------
@@ -110,7 +110,7 @@ def _resampled(sizes: list[int], times: int) -> Iterator[npt.NDArray[np.int64]]:
 
 
 def other_constants(records: Records, target: str) -> pd.DataFrame:
-    """What other cost constants do to r: the paper's, equal ones, and this machine's own.
+    """Pearson's r with other cost constants: the paper's, equal ones, and this machine's.
 
     Returns
     -------
@@ -136,13 +136,13 @@ def other_constants(records: Records, target: str) -> pd.DataFrame:
 
 
 def _with_constants(record: SceneRecord, metric: str, c_inner: float) -> F64:
-    """(K,) float64: SAH or EPO of the trees with another cost of an inner node."""
+    """Return (K,) float64: SAH or EPO of the trees with another cost of an inner node."""
     parts = np.stack([record.column(f"{metric}_{part}") for part in ("inner", "leaves")], axis=1)
     return np.asarray(parts @ [c_inner, 1.0])
 
 
 def absolute_errors(records: Records) -> pd.DataFrame:
-    """How far the finite-rays predictor is from counted cost, with no line fitted in between.
+    """Relative errors of the finite-rays predictor against counted cost, without fitting a line.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What it costs to build the tree that a predictor ranks first."""
+"""The cost of choosing the tree that a predictor ranks first."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mibvh.triangles import F64
 
 
 def cost_of_choice(records: Records, name: str) -> F64:
-    """Counted cost of the tree that a predictor ranks first, over that of the scene's best.
+    """Counted cost of the tree that a predictor ranks first, relative to the scene's best tree.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ _NO_AGREEMENT: dict[str, float] = dict.fromkeys(
 
 
 class LaneMode(NamedTuple):
-    """A lane mode: its key, and how it is written."""
+    """A lane mode: its key and its title."""
 
     key: str
     title: str
@@ -131,7 +131,7 @@ def _held_out(one: Predictor, known: list[Sample], place: int) -> float:
 
 
 def predicted(name: str, sample: Sample) -> tuple[float, F64]:
-    """Alpha (NaN where there is none) and values that a predictor has for one scene's trees."""
+    """Return alpha (NaN if there is none) and the predicted values of one scene's trees."""
     weights, values = predictor(name)([sample])
     return alpha_of(weights), values
 

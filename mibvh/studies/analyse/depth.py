@@ -1,4 +1,4 @@
-"""Where in the trees cost and overlap sit, and the worst case that remains."""
+"""Cost and overlap at each depth of the trees, and the worst case that remains."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mibvh.studies.record.scene import Records, SceneRecord, TreeRow
 
 
 def cut_trees(records: Records) -> Iterator[tuple[SceneRecord, TreeRow, Cuts]]:
-    """Yield the trees of the scenes for which the experiment was made, with their cuts."""
+    """Yield the trees of the scenes that have this experiment, with their cuts."""
     for record in records:
         if found := record.result(DepthResult):
             for tree, cuts in zip(record.trees, found.trees, strict=True):
@@ -20,7 +20,7 @@ def cut_trees(records: Records) -> Iterator[tuple[SceneRecord, TreeRow, Cuts]]:
 
 
 def depth_table(records: Records) -> pd.DataFrame:
-    """Where in the trees cost and overlap sit.
+    """Tabulate cost and overlap at each depth.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def remaining_relative(records: Records, base: str = "bbvh") -> pd.DataFrame:
 
 
 def half_depths(records: Records) -> pd.DataFrame:
-    """How far down half of each tree's cost and overlap is reached, mean over the scenes.
+    """Depth above which half of the cost and of the overlap lies, mean over the scenes.
 
     Returns
     -------
@@ -90,7 +90,7 @@ def half_depths(records: Records) -> pd.DataFrame:
 
 
 def _half(by_depth: list[float] | list[int]) -> float:
-    """Depth above which half of a sum lies, interpolated; NaN for nothing."""
+    """Depth above which half of a sum lies, interpolated; NaN if the sum is 0."""
     total = np.concatenate([[0.0], np.cumsum(by_depth)])
     if not total[-1] > 0:
         return float("nan")

@@ -1,4 +1,4 @@
-"""What a study found of kinds of rays, and of mixtures as a path tracer has them."""
+"""Results for kinds of rays, and for their mixture."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ _MEANS = (
 
 
 def kind_predictors() -> tuple[Predictor, ...]:
-    """Return all predictors, and those of rays that any hit ends."""
+    """Return all predictors, and those for rays that any hit ends."""
     return (*predictors(), *PREDICTORS)
 
 
 def kind_results(records: Records) -> dict[str, KindResult]:
-    """Return what was found of each scene with kinds of rays, by its name."""
+    """Return the results of the scenes that have this experiment, by the scene's name."""
     results = {record.scene: record.result(KindResult) for record in records}
     return {scene: found for scene, found in results.items() if found and found.sets}
 
 
 def kind_samples(found: KindResult) -> dict[str, Sample]:
-    """Quantities of a scene's trees for each kind of rays, and for their mixture if several."""
+    """Return a scene's sample for each kind of rays, and for their mixture if there are several."""
     columns = {kind.name: _columns(kind) for kind in found.sets}
     if len(columns) > 1:
         columns[MIXED] = _mixture(found.sets, list(columns.values()))
@@ -102,13 +102,13 @@ def kind_correlations(records: Records) -> pd.DataFrame:
 
 
 def _kinds_of(records: Records) -> list[str]:
-    """Kinds of rays that some scene has, in the order in which they were asked for; the mixture."""
+    """Return the kinds of rays of all scenes in the requested order, then the mixture."""
     found = {k.name: None for of in kind_results(records).values() for k in of.sets}
     return [*found, MIXED] if len(found) > 1 else list(found)
 
 
 def kind_facts(records: Records) -> pd.DataFrame:
-    """What the rays of each scene and kind are like.
+    """Facts about the rays of each scene and kind.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Trees predicted from a fit to others: what a predictor says of those it was not fitted to."""
+"""Predictions of trees from a fit to other trees."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the level of finite rays misses, in three pieces whose product is the error.
+"""The error in the level of finite rays, as a product of three factors.
 
 ``s SAH + Q`` is held against counted cost by way of two figures between them: the same formula with
 the rays' own lines, and ``touched``, the cost of all nodes that a ray touches up to its hit.
@@ -17,7 +17,7 @@ _NEEDS = ("sah", "point_query", "length_ratio", "sah_lines", "line_share", "touc
 
 
 def level_pieces(records: Records) -> pd.DataFrame:
-    """Take the level of finite rays apart.
+    """Factor the error in the level of finite rays.
 
     Returns
     -------
@@ -58,6 +58,6 @@ def _pieces(record: SceneRecord) -> dict[str, float]:
 
 
 def _mean(ratios: F64) -> float:
-    """Geometric mean; NaN where a ratio is none."""
+    """Geometric mean; NaN if a ratio is NaN or negative."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.exp(np.log(ratios).mean()))

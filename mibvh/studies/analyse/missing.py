@@ -1,4 +1,4 @@
-"""What the figures of a study are without."""
+"""Results that a study failed to get."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mibvh.studies.record.scene import Missing, Records, samples
 
 
 def missing(records: Records) -> list[tuple[str, Missing]]:
-    """Return what is missing of each scene, with the scene's name.
+    """Return all missing results, each with the name of its scene.
 
     That is what the study went on without, and predictors of the user's own that fail.
     """

@@ -1,4 +1,4 @@
-"""What is left unexplained: how much is the stopwatch's noise, and how much LCV explains.
+"""The unexplained variance of times: the share of the stopwatch's noise, and that of LCV.
 
 Of the variance of a scene's measured times, the mean square of their standard errors is noise. What
 is left over the whole is their reliability; the correlation with anything is lower by its square
@@ -19,12 +19,12 @@ from mibvh.triangles import F64
 
 
 def headline_predictors() -> list[str]:
-    """Return the predictors of which it is said how much of what they miss is noise."""
+    """Return the predictors in the table of noise."""
     return [one.name for one in predictors() if one.headline]
 
 
 def reliability(values: F64, errors: F64) -> float:
-    """Share of the variance of measured values that is not their own noise.
+    """Reliability: the share of the variance of measured values that is not measurement noise.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def reliability(values: F64, errors: F64) -> float:
 
 
 def noise_share(r: float, reliable: float) -> float:
-    """Share of the unexplained variance ``1 - r^2`` that is the noise of what was measured.
+    """Share of the unexplained variance ``1 - r^2`` that is measurement noise.
 
     With times known exactly, ``r`` would be ``r / sqrt(reliable)``, at most 1.
     """
@@ -56,7 +56,7 @@ def noise_share(r: float, reliable: float) -> float:
 
 
 def noise_table(records: Records, correlations: pd.DataFrame) -> pd.DataFrame:
-    """How much of what predictors miss of times is the stopwatch's noise.
+    """Tabulate how much of the variance that predictors do not explain is the stopwatch's noise.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def noise_table(records: Records, correlations: pd.DataFrame) -> pd.DataFrame:
 
 
 def simd_deviation(records: Records) -> pd.DataFrame:
-    """How SIMD time per ray departs from scalar time, and how much of that LCV explains.
+    """Deviation of SIMD from scalar time per ray, and the share of it that LCV explains.
 
     A tree's deviation is the logarithm of SIMD over scalar time, less the mean over the scene's
     trees.

@@ -1,4 +1,4 @@
-"""Predictors over all scenes at once, and on scenes and builders that they were not fitted to."""
+"""Predictors over all scenes at once, and on scenes and builders outside the fit."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NONE = float("nan")
 
 
 def family(builder: str) -> str:
-    """Return the first name of a builder's family; its own where it is of none."""
+    """Return the first name of a builder's family, or its own if it has no family."""
     name = builder.partition("(")[0]
     return next((members[0] for members in FAMILIES if name in members), name)
 
@@ -98,7 +98,7 @@ def _spearman(x: F64, y: F64) -> float:
 
 
 def _of_others(one: Predictor, known: list[Sample], this: int) -> Weights:
-    """Mean of the weights that are fitted to the other scenes; those of the scene for no fit."""
+    """Mean of the weights fitted to the other scenes; the scene's own if nothing is fitted."""
     if one.free == "0":
         return one.fit(known, this)
     # Without the scene itself: it has a part in weights that scenes share.

@@ -1,4 +1,4 @@
-"""By what rotating a scene raises its cost, and what the predictors say of that."""
+"""Factors by which rotation changes measured and predicted cost."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def headings() -> dict[str, str]:
 
 
 def average_weights(records: Records) -> dict[str, Weights]:
-    """Weights of the predictors fitted to counted cost, mean over the scenes; NaN for none.
+    """Weights fitted to counted cost, mean over the scenes; NaN if there are none.
 
     Counted cost has no noise; the paper fits to scalar time.
     """
@@ -42,7 +42,7 @@ def average_weights(records: Records) -> dict[str, Weights]:
 
 
 def rotation_factors(records: Records) -> pd.DataFrame:
-    """By what the rotated scenes' costs exceed those of the scenes as they are.
+    """Costs of the rotated scenes over those of the unrotated ones.
 
     Predictors with fitted weights have the mean of the weights fitted to each scene's counted
     cost; see :func:`average_weights`.
@@ -79,7 +79,7 @@ def rotation_factors(records: Records) -> pd.DataFrame:
 
 
 def _costs(tree: TreeRow, weights: Mapping[str, Weights]) -> dict[str, float]:
-    """Measured costs of a tree, and what each predictor says of it."""
+    """Measured and predicted costs of a tree."""
     values = {name: np.array([value], np.float64) for name, value in tree.values.items()}
     return {name: tree[name] for name in _MEASURED} | {
         one.key: float(one.predict(values, weights[one.name])[0]) for one in rotated_predictors()

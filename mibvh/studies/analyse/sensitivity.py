@@ -25,7 +25,7 @@ def varied_predictors() -> list[Predictor]:
 
 @dataclasses.dataclass(frozen=True)
 class _Case:
-    """Trees of a scene under one choice.
+    """The trees of a scene under one choice of leaf size, bounce or viewpoints.
 
     Attributes
     ----------
@@ -105,14 +105,14 @@ def _cases(record: SceneRecord, found: SensitivityResult) -> Iterator[_Case]:
 
 
 def _runs(views: list[int]) -> Iterator[list[int]]:
-    """Yield every run of neighbours, the shortest first; the viewpoints lie in a ring."""
+    """Yield every contiguous range of viewpoints, shortest first; viewpoints form a ring."""
     for many in range(1, len(views) + 1):
         for first in range(len(views) if many < len(views) else 1):
             yield [views[(first + i) % len(views)] for i in range(many)]
 
 
 def _of_origins(own: Mapping[str, F64], chosen: list[list[OriginCost]]) -> Sample:
-    """Trees whose cost is that of some of the rays; their metrics are what they are."""
+    """Return the trees with the cost of some of the rays; their metrics stay the same."""
     costs = np.array([_mean_cost(entries) for entries in chosen], np.float64)
     return Sample({**own, "counted_cost": costs}, costs)
 

@@ -1,4 +1,4 @@
-"""Timed deviation of packets from scalar lanes beside the simulated one, style by style."""
+"""Timed and simulated deviation of packets from scalar lanes, for each style."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mibvh.studies.record.scene import Records, SceneRecord
 
 
 def style_trees(records: Records) -> pd.DataFrame:
-    """Every tree in every style; empty where the experiment was not run.
+    """Tabulate every tree in every style; empty if the experiment was not run.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def _of_run(record: SceneRecord, run: StyleRun) -> pd.DataFrame:
 
 
 def style_agreement(trees: pd.DataFrame) -> pd.DataFrame:
-    """How the timed deviations of a scene's trees go with the simulated ones.
+    """Agreement of timed and simulated deviations over a scene's trees.
 
     Parameters
     ----------

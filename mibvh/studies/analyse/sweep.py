@@ -1,4 +1,4 @@
-"""Trees of one builder that differ in one number: cost against an option."""
+"""Sweeps: trees of one builder that differ in one numeric option."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Sweep:
 
     @property
     def name(self) -> str:
-        """The trees, in words."""
+        """A title for the trees."""
         return f"{self.builder}, {len(self.trees)} trees"
 
     def column(self, name: str) -> F64:
@@ -44,7 +44,7 @@ class Sweep:
 
 
 def sweeps(record: SceneRecord) -> list[Sweep]:
-    """Find the trees of a scene that make a curve: alike but for one number.
+    """Find the groups of trees that differ in one numeric option only.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""How simulated warps depart from scalar rays, by tree, builder and scene."""
+"""Deviation of simulated warps from scalar rays, by tree, builder and scene."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mibvh.triangles import F64
 
 
 def deviation(simd: F64, scalar: F64) -> F64:
-    """How each tree of a scene departs from scalar lanes.
+    """Deviation of each tree of a scene from scalar lanes.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def deviation_by_builder(records: Records) -> pd.DataFrame:
 
 
 def deviation_by_scene(records: Records) -> pd.DataFrame:
-    """How large the deviation is in each scene, and what goes with it.
+    """Size of the deviation in each scene, and its correlations.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def deviation_by_scene(records: Records) -> pd.DataFrame:
 
 
 def explained(records: Records) -> dict[str, float]:
-    """Pearson's r with the simulated deviation, over the trees of scenes where all is known.
+    """Pearson's r with the simulated deviation, over trees with all quantities known.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What a study found of wide trees: how well they are predicted, and which are the best."""
+"""Results for wide trees: how well they are predicted, and which are the best."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TARGET = "counted_cost"
 
 
 def width_results(records: Records) -> dict[str, WidthResult]:
-    """Return what was found of each scene whose trees were collapsed, by its name."""
+    """Return the results of the scenes that have this experiment, by the scene's name."""
     results = {record.scene: record.result(WidthResult) for record in records}
     return {scene: found for scene, found in results.items() if found is not None}
 
@@ -29,7 +29,7 @@ def widths_of(records: Records) -> list[int]:
 
 
 def width_samples(records: Records, width: int) -> list[Sample]:
-    """Return the samples of all scenes at one width: its own figures and counted cost."""
+    """Return the samples of all scenes at one width, with that width's metrics and counted cost."""
     columns = [columns_at(found, width) for found in width_results(records).values()]
     return [Sample(values, values[_TARGET]) for values in columns]
 
@@ -63,7 +63,7 @@ def width_correlations(records: Records) -> pd.DataFrame:
 
 
 def wide_trees(records: Records) -> pd.DataFrame:
-    """All trees at all widths.
+    """Tabulate all trees at all widths.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def wide_trees(records: Records) -> pd.DataFrame:
 
 
 def over_best(trees: pd.DataFrame) -> pd.DataFrame:
-    """Counted cost of each builder's trees over the best of the scene, width by width.
+    """Counted cost of each builder's trees relative to the scene's best, for each width.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def over_best(trees: pd.DataFrame) -> pd.DataFrame:
 
 
 def before_and_after(trees: pd.DataFrame, width: int) -> pd.DataFrame:
-    """What SAH before the collapse tells of the cost after it, against SAH after it.
+    """How well SAH before the collapse predicts the cost after it, compared with SAH after it.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def before_and_after(trees: pd.DataFrame, width: int) -> pd.DataFrame:
 
 
 def optimised(records: Records, trees: pd.DataFrame, width: int) -> pd.DataFrame:
-    """Trees that an optimiser made of another's: what it gained, before and after the collapse.
+    """Gains of optimisers over their start trees, before and after the collapse.
 
     Returns
     -------
@@ -191,7 +191,7 @@ def optimised(records: Records, trees: pd.DataFrame, width: int) -> pd.DataFrame
 
 
 def _pairs(record: SceneRecord) -> Iterator[tuple[str, str]]:
-    """Optimised trees of a scene, and what they were made from, where both are there."""
+    """Return the optimised trees of a scene with their start trees, if both are there."""
     names = {tree.builder for tree in record.trees}
     for tree in record.trees:
         start = tree.options.get("start")
@@ -200,7 +200,7 @@ def _pairs(record: SceneRecord) -> Iterator[tuple[str, str]]:
 
 
 def _geometric(values: F64) -> float:
-    """Geometric mean; NaN where a value is none, or not positive."""
+    """Geometric mean; NaN if a value is NaN or not positive."""
     return float(np.exp(np.mean(np.log(values)))) if (values > 0).all() else float("nan")
 
 

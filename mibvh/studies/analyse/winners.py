@@ -1,4 +1,4 @@
-"""Which tree of a scene is the best, by how much, and whether that can be believed."""
+"""The best tree of each scene, its lead, and whether the lead is significant."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class Winner:
 
     @property
     def sure(self) -> bool:
-        """Whether the lead is beyond twice its error; a lead of unknown error is not."""
+        """Whether the lead exceeds twice its error; false if the error is unknown."""
         return bool(self.lead > _SURE * self.error)
 
     @property
     def margin(self) -> str:
-        """The lead with its error, in words."""
+        """The lead with its error, as text."""
         lead = f"{self.lead:.1%}"
         if np.isfinite(self.error):
             # An error below the last digit is told with one digit more.
@@ -61,7 +61,7 @@ class Winner:
 
 
 def winner(record: SceneRecord) -> Winner:
-    """Return the tree of least counted cost.
+    """Return the tree of lowest counted cost.
 
     The error is that of the ratio of the two costs over the random groups of rays that a study
     keeps: the trees trace the same rays, so what the rays have in common cancels.
@@ -77,7 +77,7 @@ def winner(record: SceneRecord) -> Winner:
 
 
 def winner_in_time(record: SceneRecord, lanes: LaneMode) -> Winner | None:
-    """Return the tree of least time; None where times are not known."""
+    """Return the tree of lowest time; None if times are unknown."""
     if not record.knows(lanes.ns):
         return None
     first, second = _two_least(record, lanes.ns)
@@ -101,7 +101,7 @@ def _winner(record: SceneRecord, name: str, first: int, second: int, error: floa
 
 
 def wins(records: Records) -> dict[str, int]:
-    """How many scenes each builder wins by counted cost, most first; only leads that are sure."""
+    """Number of scenes that each builder wins significantly by counted cost, most first."""
     found = [winner(record) for record in records]
     sure = [one.builder for one in found if one.sure or not one.second]
     names = sorted(set(sure), key=lambda name: (-sure.count(name), name))
@@ -110,7 +110,7 @@ def wins(records: Records) -> dict[str, int]:
 
 @dataclasses.dataclass(frozen=True)
 class InTime:
-    """In how many scenes the winner by counted cost is the winner in time, too.
+    """Number of scenes in which the winner by counted cost also wins in time.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class InTime:
 
     @property
     def scenes(self) -> int:
-        """How many scenes were timed."""
+        """Number of scenes that were timed."""
         return self.same + self.another + self.open
 
 
@@ -141,7 +141,7 @@ def wins_in_time(records: Records, lanes: LaneMode) -> InTime:
 
 
 def cost_over_best(records: Records) -> dict[str, F64]:
-    """Counted cost of each builder's tree over that of the scene's best; (S,) float64 each.
+    """Counted cost of each builder's tree relative to the scene's best; (S,) float64 each.
 
     Only builders that have a tree of every scene, the one of the least mean first.
     """

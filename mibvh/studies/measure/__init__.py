@@ -1,1 +1,1 @@
-"""What is measured of a scene: rays, trees, what they cost and how long they take."""
+"""Measurements of a scene: rays, trees, counts and times."""

@@ -1,4 +1,4 @@
-"""The audit of a scene's trees: each figure of a row checked by independent code."""
+"""The audit of a scene's trees: independent code checks each number."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Checks:
 
 
 class Auditor:
-    """Audits the trees of a scene; their hits are compared with each other's, too.
+    """Audits the trees of a scene, and compares their hits with each other.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Auditor:
         self._first: Hits | None = None
 
     def __call__(self, tree: Tree | WideTree, values: dict[str, float]) -> Checks:
-        """Check a tree and what its row says of SAH, EPO and counted cost.
+        """Check a tree, and its SAH, EPO and counted cost.
 
         Of a binary tree, also the cost of simulated warps of one lane.
 
@@ -57,7 +57,7 @@ class Auditor:
         return found
 
     def _warps(self, tree: Tree, hits: Hits, values: dict[str, float]) -> Iterator[Check]:
-        """Check that simulated warps of one lane cost what the kernel counts for the same rays.
+        """Check that warps of one lane cost as much as the kernel counts for the same rays.
 
         The simulation does not re-test popped nodes, and a GPU may contract products and sums.
         """

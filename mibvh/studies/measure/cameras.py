@@ -1,4 +1,4 @@
-"""What a scene's rays depend on besides its triangles."""
+"""A fingerprint of a scene's cameras, for cache keys of its rays."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mibvh.variant import mitsuba
 
 
 def cameras(scene: Scene) -> list[Any]:
-    """Return where some camera rays of each viewpoint start and go, as JSON-able values."""
+    """Return origins and directions of five camera rays of each viewpoint, as JSON-able values."""
     mi = mitsuba()
     x, y = mi.Float([0.1, 0.9, 0.5, 0.1, 0.9]), mi.Float([0.1, 0.1, 0.5, 0.9, 0.9])
     rays = [s.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(y, x))[0] for s in scene.sensors]

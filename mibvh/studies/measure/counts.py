@@ -1,4 +1,4 @@
-"""What rays cost in a tree, counted: no stopwatch, no noise."""
+"""The counted cost of rays in a tree, which is free of noise."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _COUNTERS = (
 
 @dataclasses.dataclass(frozen=True)
 class Counts:
-    """What was counted of the rays of a scene in one tree; see :class:`TreeRow`."""
+    """Counts of a scene's rays in one tree; see :class:`TreeRow`."""
 
     values: dict[str, float]
     cost_groups: list[float]
@@ -53,7 +53,7 @@ class Counts:
 
 
 class RayCounter:
-    """The rays of a scene, to be counted in any number of its trees.
+    """Counts the rays of a scene in its trees.
 
     What does not depend on the tree is prepared when it is first needed and cached: a study that
     goes on from its store needs none of it. Occlusion rays are traced by the any-hit kernel, and
@@ -94,7 +94,7 @@ class RayCounter:
 
     @functools.cached_property
     def starts(self) -> RayEnds:
-        """Where the rays begin."""
+        """Start points of the rays."""
         return ray_starts(self.triangles, self.rays)
 
     def hits(self, tree: Tree | WideTree) -> Hits:
@@ -110,7 +110,7 @@ class RayCounter:
         return self._closest
 
     def paths(self, hits: Hits) -> RayPaths:
-        """Where the rays go; computed anew only where a tree's hits are not those of the last.
+        """Ends and lines of the rays, recomputed only if a tree's hits differ from the last tree's.
 
         Trees agree on hits but for ties: rays that meet two triangles at one distance.
         """
@@ -119,7 +119,7 @@ class RayCounter:
         return self._paths
 
     def __call__(self, tree: Tree | WideTree) -> Counts:
-        """Count the rays in a tree, its point queries at their ends, and their lines."""
+        """Count the rays in a tree, with point queries at their ends and with their lines."""
         hits = self.hits(tree)
         constants = {name: tree.meta[name] for name in _CONSTANTS if name in tree.meta}
         costs = hits.costs(**constants)
@@ -145,7 +145,7 @@ class RayCounter:
         )
 
     def _ends(self, tree: Tree | WideTree, paths: RayPaths) -> dict[str, float]:
-        """Point queries at the rays' starts and ends."""
+        """Costs of point queries at the rays' starts and ends."""
         starts, ends = self.starts, paths.ends
         at_starts = point_costs(tree, self.triangles, starts.points, starts.triangle)
         at_ends = point_costs(tree, self.triangles, ends.points, ends.triangle)
@@ -182,7 +182,7 @@ class RayCounter:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RayPaths:
-    """Where the rays of a set go, by the hits in some tree.
+    """Ends and lines of the rays, computed from the hits in some tree.
 
     Attributes
     ----------
@@ -211,14 +211,14 @@ class RayPaths:
         )
 
     def are_of(self, hits: Hits) -> bool:
-        """Whether other hits lead to the same paths."""
+        """Whether these paths also follow from other hits."""
         return np.array_equal(self.hits.t, hits.t) and np.array_equal(
             self.hits.triangle, hits.triangle
         )
 
 
 def _counters(hits: Hits) -> dict[str, float]:
-    """What a traversal counted, by the names that the study has for it."""
+    """Return the counters of a traversal by the names of the study's quantities."""
     counters, prefix = hits.counters(), find_style(hits.style).prefix
     of_tree = {name.removeprefix(prefix): value for name, value in counters.items()}
     return {name: float(of_tree[name]) for name in _COUNTERS}
@@ -253,7 +253,7 @@ def costs_by_origin(rays: RaySet, costs: F64) -> list[OriginCost]:
 
 
 def counted_costs(tracer: Tracer, tree: Tree, triangles: Triangles) -> F64:
-    """(R,) float64: what each ray costs by the counters; nothing is timed."""
+    """Return (R,) float64: the counted cost of each ray; nothing is timed."""
     outputs, _ = tracer.run(make_records(tree, triangles), count=True)
     counted = (outputs.inner, outputs.tests)
     inner, tests = (tracer.fetch(column).astype(np.float64) for column in counted)

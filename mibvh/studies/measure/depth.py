@@ -52,7 +52,7 @@ class DepthResult(Result, experiment="depth"):
 
 
 def worst_cases(tree: Tree) -> F64:
-    """``C_tri T_n A_n / A_root`` of each node: what it would cost as a leaf.
+    """Return ``C_tri T_n A_n / A_root`` of each node: its cost if it were a leaf.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def remaining_after_splits(tree: Tree, splits: tuple[int, ...] = SPLITS) -> list
 
 
 def cuts(tree: Tree) -> Cuts:
-    """Cut a tree in all ways."""
+    """Cut a tree at every depth, and after each number of splits."""
     spent, remaining = remaining_by_depth(tree)
     return Cuts(
         nodes_by_depth=np.bincount(tree.depths).tolist(),

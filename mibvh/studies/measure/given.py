@@ -1,4 +1,4 @@
-"""What the user brings to the study of a scene: finished trees, and rays."""
+"""Finished trees and rays that the user brings to the study of a scene."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Given:
     Attributes
     ----------
     trees : mapping of str to Tree
-        By the name that they have in tables; asked for one at a time.
+        By their names in tables. Each access may read a file.
     rays : RaySet or None
         Traced instead of diffuse rays from the scene's cameras.
     """
@@ -27,17 +27,17 @@ class Given:
     rays: RaySet | None = None
 
     def check(self, triangles: Triangles) -> dict[str, MibvhError]:
-        """See that trees and rays are of these triangles, and can be traced.
+        """Check that trees and rays belong to these triangles, and can be traced.
 
         Returns
         -------
         dict of str to MibvhError
-            What is wrong with each tree that is not.
+            The trees that do not, and why.
 
         Raises
         ------
         MibvhError
-            If a tree cannot be read, or with the first fault of the rays.
+            If a tree cannot be read, or the rays fail the check.
         """
         unfit: dict[str, MibvhError] = {}
         for name in self.trees:
@@ -58,7 +58,7 @@ class Given:
         return unfit
 
     def notes(self, studied: Collection[str]) -> list[str]:
-        """What a reader has to know of them, in sentences; of trees, of those that are studied."""
+        """Return notes for the report on the given rays, and on the given trees under study."""
         said = [
             f"The tree {name} was given as it is: it has no options and no build time."
             for name in self.trees
@@ -71,12 +71,12 @@ class Given:
 
 
 def check_given(name: str, tree: Tree, triangles: Triangles) -> None:
-    """See that a given tree is of these triangles, and can be traced.
+    """Check that a given tree belongs to these triangles, and can be traced.
 
     Raises
     ------
     MibvhError
-        With the first fault.
+        If it does not; the message names the first fault.
     """
     try:
         tree.check_matches(triangles)

@@ -1,4 +1,4 @@
-"""Kinds of rays: primary, shadow and others, beside the diffuse ones, from the same viewpoints.
+"""The experiment ``kinds``: primary, shadow and other rays from the same viewpoints.
 
 Everything here is by counted cost. Occlusion rays are traced by the any-hit kernel, and cost what
 that visits; their lengths and ends are those of the closest hits.
@@ -18,7 +18,7 @@ from mibvh.studies.measure.counts import RayCounter
 from mibvh.studies.measure.scene_digest import scene_digest
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import Store, key_of
-from mibvh.studies.measure.trees import counted_rays, judged_tree
+from mibvh.studies.measure.trees import kept_counts, kept_metrics
 from mibvh.studies.record.options import KINDS, weights
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import Result
@@ -67,7 +67,7 @@ class RayKind:
 
 @dataclasses.dataclass(frozen=True)
 class Checks:
-    """The checks of what one kind of rays found in one tree."""
+    """The checks of one kind of rays in one tree."""
 
     checks: list[Check]
 
@@ -145,10 +145,10 @@ def _count(
 
 def _in_tree(tree: Tree, counter: RayCounter, store: Store) -> tuple[dict[str, float], Checks]:
     """Count and audit the rays in one tree."""
-    judged = judged_tree(tree, counter.triangles, store).values
-    counts = counted_rays(tree, counter, store).values
+    metrics = kept_metrics(tree, counter.triangles, store).values
+    counts = kept_counts(tree, counter, store).values
     checks = _audited(tree, counter, counts["counted_cost"], store)
-    return {**{n: judged[n] for n in ("sah", "epo")}, **counts}, checks
+    return {**{n: metrics[n] for n in ("sah", "epo")}, **counts}, checks
 
 
 def _audited(tree: Tree, counter: RayCounter, cost: float, store: Store) -> Checks:

@@ -1,4 +1,4 @@
-"""How much memory the study of a scene takes: predicted before it begins, and measured."""
+"""Memory of the study of a scene: predicted beforehand, and measured."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _READ = 0.75
 
 @dataclasses.dataclass(frozen=True)
 class _TreeNeeds:
-    """Bytes that building a tree takes, and references that it is expected to have."""
+    """Bytes needed to build a tree, and the expected number of its references."""
 
     build: float
     references: float
@@ -31,7 +31,7 @@ class _TreeNeeds:
 def predicted_memory(
     scene: Scene, options: StudyOptions, sources: Mapping[str, TreeSource], given: Given
 ) -> dict[str, float]:
-    """Bytes that each stage takes at most, beside what is in memory before.
+    """Predict the bytes that each stage needs at most, beyond what is in memory before.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def predicted_memory(
 
 
 def _records(references: Sequence[float]) -> float:
-    """Bytes of the records of trees that are timed in turn: those of all are in memory."""
+    """Bytes of the records of trees that are timed in turn, which are all in memory at once."""
     needed = BYTES["records"] * sum(references)
     return needed if needed <= times.LARGE else _READ * needed
 
@@ -92,7 +92,7 @@ def _of_tree(source: TreeSource, scene: Scene) -> _TreeNeeds:
 
 
 def check_memory(scene: Scene, stages: Mapping[str, float]) -> float:
-    """Refuse the study of a scene that memory is too small for; return the bytes of its peak.
+    """Refuse a scene whose study needs too much memory; return the bytes of the largest stage.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def check_memory(scene: Scene, stages: Mapping[str, float]) -> float:
 
 
 class Peaks:
-    """The most memory that each stage of a study had in use.
+    """Records the peak memory of each stage of a study.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class Peaks:
 
     @contextlib.contextmanager
     def of(self, stage: str) -> Iterator[None]:
-        """Note the peak of what is done within."""
+        """Record the peak memory of the block as that of a stage."""
         reset_peak()
         yield
         if (peak := peak_memory()) is not None:

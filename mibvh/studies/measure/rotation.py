@@ -64,7 +64,7 @@ class _SameHits:
 
 @dataclasses.dataclass(eq=False)
 class _Rotated(Scene):
-    """A rotated scene; its cameras stand where they stood, their rays are rotated.
+    """A rotated scene whose cameras stay in place; the rays made from them are rotated.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class _Rotated(Scene):
 
 
 def rotated(scene: Scene, rays: RaySet) -> tuple[Scene, RaySet]:
-    """Rotate a scene's triangles and its rays alike."""
+    """Rotate a scene's triangles together with its rays."""
     matrix = rotation_about(AXIS, DEGREES)
     triangles = dataclasses.replace(scene.triangles.rotated(matrix), name=scene.name)
     moved = rays.rotated(matrix, triangles)
@@ -94,7 +94,7 @@ def rotated(scene: Scene, rays: RaySet) -> tuple[Scene, RaySet]:
 
 
 def rotation_experiment(setting: Setting, report: Reporter) -> RotationResult:
-    """Build, judge, count and time the trees of the rotated scene."""
+    """Build the trees of the rotated scene, compute their metrics, and count and time the rays."""
     options, store = setting.options, setting.store
     scene, rays = rotated(setting.scene, setting.rays)
     # A tree that was given cannot be built anew.
@@ -140,7 +140,7 @@ def rotation_experiment(setting: Setting, report: Reporter) -> RotationResult:
 
 
 def _nothing(scene: Scene) -> RotationResult:
-    """Return the result where no tree can be built anew."""
+    """Return the result if no tree can be rebuilt."""
     timing = Timing(rounds=0, complete=False, rays=0, portions=0)
     return RotationResult(AXIS, DEGREES, scene.triangles.digest, math.nan, [], timing)
 

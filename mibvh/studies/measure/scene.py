@@ -1,4 +1,4 @@
-"""A study of one scene: rays, trees, times, then the experiments that were asked for."""
+"""A study of one scene: rays, trees, times, then the requested experiments."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from mibvh.studies.record.progress import Listener, Progress, Reporter
 from mibvh.studies.record.scene import RayFacts, SceneRecord, Timing, TreeRow
 from mibvh.variant import release_memory
 
-#: What the seconds are spent on, by the first word of the pieces' names.
+#: Stage of the report's table of seconds, by the first word of the pieces' names.
 _STAGES = {
     "rayset": "rays",
     "tree": "trees",
@@ -40,13 +40,13 @@ _STAGES = {
     "picture": "picture",
     "audit": "audit",
 }
-#: Name of the part that every study has.
+#: Name of the base experiment, which every study runs.
 BASE = "prediction"
 
 
 @dataclasses.dataclass(frozen=True)
 class _Picture:
-    """A picture, base64-encoded, empty if there is none; what is to be said of it."""
+    """A PNG, base64-encoded (empty if there is none), and a note for the reader."""
 
     png: str
     note: str
@@ -65,18 +65,22 @@ def study_scene(
     ----------
     scene : Scene
     options : StudyOptions
-        With the builders filled in.
+        ``builders`` must not be None.
     store : Store
     listener : callable
-        Told of the progress.
+        Called with a :class:`Progress` at every step.
     given : Given
         Finished trees and rays that the user brings.
+
+    Returns
+    -------
+    SceneRecord
+        Trees that failed are listed in ``missing``.
 
     Raises
     ------
     MibvhError
-        If the scene cannot be studied, or no tree of it can be had. Where some can, the others are
-        reported as missing, and the record says so.
+        If the scene cannot be studied, or all of its trees fail.
     """
     asked = chosen(options.experiments)
     shares = _shares(asked)
@@ -89,7 +93,7 @@ def study_scene(
     reused = {_STAGES[kind]: count for kind, count in store.reused.items()}
     results = {}
     for experiment in asked:
-        # The last step had the records of all trees in memory; the next needs one at a time.
+        # The last step held the records of all trees in memory; the next needs one at a time.
         release_memory()
         store.begin()
         part = reporter.of(experiment.name, *shares[experiment.name])
@@ -120,7 +124,7 @@ def _predict(
     report: Reporter,
     peaks: Peaks,
 ) -> tuple[Setting, SceneRecord]:
-    """Make the rays and the trees of a scene, count and time them."""
+    """Run the base experiment: make rays and trees, count the rays, time them, render a picture."""
     machine = environment()
     sources = sources_of(options.builders or (), given.trees)
     needed = check_memory(scene, predicted_memory(scene, options, sources, given))
@@ -182,7 +186,7 @@ def _rays(scene: Scene, options: StudyOptions, store: Store) -> RaySet:
 def _time(
     setting: Setting, rows: list[TreeRow], report: Reporter
 ) -> tuple[list[TreeRow], dict[str, Timing]]:
-    """Time the trees in each lane mode. Returns the rows with times, and how they were timed."""
+    """Time the trees in each lane mode; return the rows with times, and how they were timed."""
     timing: dict[str, Timing] = {}
     for i, lanes in enumerate(LANES):
         found = kept_times(setting, lanes, "single", report.part(0.55 + 0.2 * i, 0.2))
@@ -198,9 +202,9 @@ def _time(
 
 
 def _shares(asked: Sequence[Experiment]) -> dict[str, tuple[float, float]]:
-    """Where in the progress of a scene each experiment begins, and its share.
+    """Return, for each experiment, where its progress begins and its share, within 0 to 1.
 
-    They end short of 1, which says that the scene is done.
+    The last one ends below 1, because 1 means that the scene is done.
     """
     weights = {BASE: 1.0} | {experiment.name: experiment.weight for experiment in asked}
     total, begin, shares = 1.01 * sum(weights.values()), 0.0, {}
@@ -211,14 +215,14 @@ def _shares(asked: Sequence[Experiment]) -> dict[str, tuple[float, float]]:
 
 
 def _picture(scene: Scene) -> _Picture:
-    """Render a scene, or light it from the camera, or do without: no study ends for a picture."""
+    """Render a scene; if that fails light it from the camera, or do without a picture."""
     from mibvh.picture import picture, png
 
     said = ""
     for samples, instead in ((32, "is lit from the camera"), (0, "is missing")):
         try:
             pixels = picture(scene, samples=samples)
-        except Exception as error:  # of Mitsuba, whose plugins raise nearly anything
+        except Exception as error:  # Mitsuba's plugins raise nearly anything
             reason = " ".join((str(error) or type(error).__name__).split())[:200]
             said = f"the picture {instead}: Mitsuba cannot render this scene ({reason})"
         else:

@@ -1,4 +1,4 @@
-"""Sensitivity: other leaf sizes, deeper bounces, fewer viewpoints.
+"""The experiment ``sensitivity``: other leaf sizes, deeper bounces, fewer viewpoints.
 
 Everything here is by counted cost, which has no noise, so that small changes of r can be seen.
 """
@@ -21,7 +21,7 @@ from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import costs_by_origin, counted_costs
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import key_of
-from mibvh.studies.measure.trees import TreeSource, judged_alike
+from mibvh.studies.measure.trees import TreeSource, with_paper_costs
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import OriginCost, Result
 from mibvh.traversal.records import unit_scale
@@ -38,7 +38,7 @@ _LEAF_RAYS = 262_144
 
 @dataclasses.dataclass(frozen=True)
 class LeafSize:
-    """A tree whose leaves were collapsed up to another size.
+    """A tree whose leaves were collapsed with another largest size.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class LeafSize:
 
 @dataclasses.dataclass(frozen=True)
 class SensitivityResult(Result, experiment="sensitivity"):
-    """What other choices cost, tree by tree.
+    """Costs of the trees under other choices.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ def sensitivity_experiment(setting: Setting, report: Reporter) -> SensitivityRes
 
 
 def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _Sizes:
-    """Finish one builder's draft with each leaf size, and judge and count the trees."""
+    """Finish one builder's draft with each leaf size; return metrics and counts of the trees."""
     triangles = scene.triangles
     if source.chosen is None:
         return _Sizes([])
@@ -128,8 +128,8 @@ def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _
     costs = {"c_inner": options.c_inner, "c_tri": options.c_tri}
     meta = {"triangles": len(triangles), "digest": triangles.digest, **costs}
 
-    def judged(size: int) -> LeafSize:
-        tree = judged_alike(finish(draft, **costs, max_leaf=size, meta=meta))
+    def at_size(size: int) -> LeafSize:
+        tree = with_paper_costs(finish(draft, **costs, max_leaf=size, meta=meta))
         values = {
             "sah": sah(tree),
             "epo": epo(tree, triangles),
@@ -138,11 +138,11 @@ def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _
         }
         return LeafSize(size, len(some), values)
 
-    return _Sizes([judged(size) for size in LEAF_SIZES])
+    return _Sizes([at_size(size) for size in LEAF_SIZES])
 
 
 def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:
-    """Costs of the rays that are deeper than those of the scene's own ray set."""
+    """Costs of the rays of deeper bounces than those of the scene's ray set."""
     scene, trees, options = setting.scene, setting.trees, setting.options
     if setting.rays_given:
         return [[] for _ in trees]  # those of the cameras would be of another population
@@ -175,7 +175,7 @@ def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:
 
 
 class _LazyTracer:
-    """Rays that go to Dr.Jit's memory when a tree is first counted."""
+    """Rays that are copied to Dr.Jit's memory when a tree is first counted."""
 
     def __init__(self, scene: Scene, rays: RaySet, cull: bool) -> None:
         self._scene, self._rays, self._cull = scene, rays, cull

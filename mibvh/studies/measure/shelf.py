@@ -1,4 +1,4 @@
-"""The trees of a scene: in memory while there is room for them, and else read when asked for."""
+"""A least-recently-used cache of the trees of a scene."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator, Mapping
 from mibvh.errors import MibvhError
 from mibvh.tree import Tree
 
-#: Bytes of trees that stay in memory, whatever there are: nine of 700,000 triangles.
+#: Bytes of trees that stay in memory: nine trees of 700,000 triangles.
 ROOM = 3e8
 
 
 @dataclasses.dataclass(frozen=True)
 class _Entry:
-    """A tree of the shelf.
+    """What the shelf knows of a tree that may not be in memory.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class _Entry:
     size : int
         Bytes of its arrays.
     again : callable
-        Reads it.
+        Reads the tree from its file.
     """
 
     digest: str
@@ -32,22 +32,22 @@ class _Entry:
 
 
 class Shelf(Mapping[str, Tree]):
-    """Trees by name.
+    """Trees by name, of which the most recently used stay in memory.
 
-    As many as there is room for stay in memory, those last asked for first; the others are read
-    when they are asked for, so that who goes through all of a large scene has one at a time.
+    The others are read from their files on access. A loop over all trees of a large scene thus
+    holds one tree at a time.
 
     Parameters
     ----------
     room : float, optional
-        Bytes, by default :data:`ROOM`; the tree that was last asked for is in memory in any case.
+        Bytes of trees to hold, by default :data:`ROOM`. The last tree is held in any case.
     """
 
     def __init__(self, room: float | None = None) -> None:
         self._room = ROOM if room is None else room
         self._entries: dict[str, _Entry] = {}
         self._held: dict[str, Tree] = {}
-        # A tree that somebody else has in memory need not be read.
+        # A tree that is still in use elsewhere need not be read again.
         self._alive: weakref.WeakValueDictionary[str, Tree] = weakref.WeakValueDictionary()
 
     def put(self, name: str, tree: Tree, again: Callable[[], Tree]) -> None:
@@ -58,7 +58,7 @@ class Shelf(Mapping[str, Tree]):
         name : str
         tree : Tree
         again : callable
-            Returns the same tree; called where it is no longer in memory.
+            Returns the same tree; called once it is no longer in memory.
         """
         size = sum(array.nbytes for array in tree.to_arrays().values())
         self._entries[name] = _Entry(tree.digest, size, again)
@@ -69,7 +69,7 @@ class Shelf(Mapping[str, Tree]):
         return self._entries[name].digest
 
     def tidy(self) -> None:
-        """Let go of what there is no room for, before something else takes memory."""
+        """Release trees beyond the room, before something else needs memory."""
         self._make_room(0)
 
     def __getitem__(self, name: str) -> Tree:
@@ -78,7 +78,7 @@ class Shelf(Mapping[str, Tree]):
         Raises
         ------
         MibvhError
-            If what is read is another tree than the one that was put.
+            If the tree's file has changed since the tree was added.
         """
         entry = self._entries[name]
         tree = self._alive.get(name)
@@ -91,7 +91,7 @@ class Shelf(Mapping[str, Tree]):
         return tree
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the names, in the order of the trees' coming."""
+        """Iterate over the names, in the order of addition."""
         return iter(self._entries)
 
     def __len__(self) -> int:
@@ -104,6 +104,6 @@ class Shelf(Mapping[str, Tree]):
         self._held[name] = self._alive[name] = tree
 
     def _make_room(self, size: int) -> None:
-        """Let go of trees, those not asked for longest first, until so many bytes fit in."""
+        """Release the least recently used trees until so many bytes fit in."""
         while self._held and size + sum(self._entries[n].size for n in self._held) > self._room:
             self._held.pop(next(iter(self._held)))

@@ -1,7 +1,8 @@
-"""What a study keeps: content-addressed pieces, so that a killed run goes on where it stopped.
+"""The cache of a study: content-addressed pieces, so that a killed run continues where it stopped.
 
-A piece's key is a hash of everything it depends on, so a changed option recomputes what it
-touches and nothing else. Pieces are written whole or not at all; a damaged one is made anew.
+The key of a piece is a hash of everything that it depends on. A changed option therefore
+recomputes what depends on it, and nothing else. A piece is written completely or not at all, and a
+damaged one is recomputed.
 """
 
 from __future__ import annotations
@@ -27,39 +28,44 @@ R = TypeVar("R")
 
 
 def key_of(*code: str, **parts: Any) -> str:
-    """Hash of what a piece is made from, and of the code that makes it.
+    """Hash the inputs of a piece and the code that makes it.
 
     Parameters
     ----------
     *code : str
-        Modules that make it; all that they import from this package counts.
+        Names of the modules that make it; everything that they import from this package counts.
     **parts
-        JSON-able.
+        The inputs, as JSON-able values.
+
+    Returns
+    -------
+    str
+        24 hexadecimal digits.
     """
     text = json.dumps({**parts, "code": code_digest(*code)}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
 class Store:
-    """A folder of pieces.
+    """A folder of pieces, and the time that they took.
 
     Parameters
     ----------
     folder : Path
-        Made if it is not there.
+        Created if it does not exist.
 
     Attributes
     ----------
     spent : dict of str to float
-        Seconds that it took to make the pieces handed out since :meth:`begin`, whenever that
-        was, by the first word of their names.
+        Seconds that it took to make the pieces returned since :meth:`begin`, in whichever run
+        they were made. Keys are the first words of the pieces' names.
     made, reused : Counter of str
-        Pieces that were made, and that were here, since :meth:`begin`, by the same words.
+        Number of pieces made, and found in the folder, since :meth:`begin`, by the same keys.
 
     Raises
     ------
     MibvhError
-        If the folder cannot be made.
+        If the folder cannot be created.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -73,13 +79,13 @@ class Store:
         self.reused: Counter[str] = Counter()
 
     def begin(self) -> None:
-        """Count pieces, and the seconds spent on them, from here on."""
+        """Reset the counts of pieces and seconds."""
         self.spent, self.made, self.reused = {}, Counter(), Counter()
 
     def array(self, kind: type[T], key: str | None, make: Callable[[], T]) -> T:
-        """A tree or ray set: read if it is here and sound, otherwise made and kept.
+        """Return a tree or ray set: read from its file if that is intact, otherwise made and kept.
 
-        Without a key it is made anew: nothing tells whether one that is here would be the same.
+        Without a key it is always made: nothing tells whether a kept one would be the same.
         """
         if key is None:
             started = time.perf_counter()
@@ -105,12 +111,9 @@ class Store:
         return value
 
     def again(self, kind: type[T], key: str, value: T) -> Callable[[], T]:
-        """Keep a tree or ray set if it is not here, and return what reads it; that is not counted.
+        """Keep a tree or ray set, and return a function that reads it again, uncounted.
 
-        Raises
-        ------
-        MibvhError
-            When it is read, if it was removed or damaged meanwhile.
+        The function raises MibvhError if the file was removed or damaged meanwhile.
         """
         path = self._path(kind, key)
         if not path.exists():
@@ -118,19 +121,19 @@ class Store:
         return functools.partial(kind.load, path, key)
 
     def has(self, kind: type[Tree] | type[RaySet], key: str | None) -> bool:
-        """Whether a tree or ray set is here; it may turn out to be damaged."""
+        """Whether the file of a tree or ray set exists; it may still be damaged."""
         return key is not None and self._path(kind, key).exists()
 
     def _path(self, kind: type[Tree] | type[RaySet], key: str) -> Path:
         return self.folder / f"{kind.__name__.lower()}-{key}.npz"
 
     def record(self, name: str, kind: type[R], make: Callable[[], R]) -> R:
-        """Return a dataclass: read if it is here and sound, otherwise made and kept as JSON."""
+        """Return a dataclass: read from JSON if that is intact, otherwise made and kept."""
         value, seconds = self._held(name)
         if value is not None:
             try:
                 found = from_json(kind, value)
-            except MibvhError:  # of another version, or somebody made the checksum fit
+            except MibvhError:  # of another version, or tampered with, checksum included
                 pass
             else:
                 self._count(name, seconds)
@@ -143,16 +146,16 @@ class Store:
         return from_json(kind, value)
 
     def read(self, name: str) -> dict[str, Any] | None:
-        """Return the JSON piece of that name, or None if it is not here or damaged."""
+        """Return the JSON piece of that name, or None if it is missing or damaged."""
         return self._held(name)[0]
 
     def write(self, name: str, value: dict[str, Any], seconds: float | None = None) -> None:
-        """Keep a JSON piece, and what it took to make."""
+        """Keep a JSON piece, and the seconds that it took to make."""
         held = {"checksum": _checksum(value), "seconds": seconds, "value": value}
         write_text(self.folder / f"{name}.json", json.dumps(held, indent=1))
 
     def _held(self, name: str) -> tuple[dict[str, Any] | None, float]:
-        """A JSON piece, or None, and what it took to make, or NaN where that is not known."""
+        """Return a JSON piece (None if missing or damaged) and its seconds (NaN if unknown)."""
         path = self.folder / f"{name}.json"
         try:
             held = json.loads(path.read_text(encoding="utf-8"))

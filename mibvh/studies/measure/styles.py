@@ -1,4 +1,4 @@
-"""The traversal styles: each timed in SIMD and in scalar lanes, and simulated at the same width.
+"""The experiment ``styles``: kernels timed in both lane modes, and simulated at the same width.
 
 Dr.Jit's packets execute in lockstep as warps do, so what they issue can be counted exactly. The
 experiment asks whether that tells which tree gains from packets, and which loses, by the stopwatch.
@@ -78,7 +78,7 @@ class StyleRun:
 
 @dataclasses.dataclass(frozen=True)
 class StylesResult(Result, experiment="styles"):
-    """A scene's trees in every style that was asked for, on packets of so many lanes."""
+    """A scene's trees in every requested style."""
 
     lane_width: int
     runs: list[StyleRun]
@@ -86,7 +86,7 @@ class StylesResult(Result, experiment="styles"):
 
 @dataclasses.dataclass(frozen=True)
 class _Costs:
-    """Simulated cost of a tree, of packets of one lane and of wide ones."""
+    """Simulated cost of a tree in packets of one lane, and in full packets."""
 
     scalar: float
     packets: float
@@ -129,7 +129,7 @@ def _trees(scalar: TreeTimes, simd: TreeTimes, costs: list[_Costs]) -> list[Styl
 
 
 def packet_rays(rays: RaySet, style: str) -> RaySet:
-    """The rays that packets are simulated with, side by side as they are timed.
+    """Return the rays that packets are simulated with, in the order in which they are timed.
 
     The wide kernel deals rays by how many there are: it has all of them.
     """

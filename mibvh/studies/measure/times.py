@@ -1,4 +1,4 @@
-"""Times of a scene's trees: launches handed to the stopwatch, in either lane mode."""
+"""Times of a scene's trees in either lane mode."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Launch = Callable[[int], LaunchSeconds]
 
 @dataclasses.dataclass(frozen=True)
 class TreeTimes:
-    """Times of trees.
+    """Times of several trees.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ def times(
     report: Reporter,
     style: str = "single",
 ) -> TreeTimes:
-    """Time all trees of a scene, the first and the last a second time under other names.
+    """Time all trees of a scene, and the first and the last one twice to estimate errors.
 
     Where two builders made one and the same tree, their difference is an error, too.
     """
@@ -109,7 +109,7 @@ def times(
 
 
 def kept_times(setting: Setting, lanes: Lanes, style: str, report: Reporter) -> TreeTimes:
-    """Times of a scene's trees: from the study's store, or measured and kept."""
+    """Return the times of a scene's trees: from the store, or measured and kept."""
     options, trees = setting.options, setting.trees
     key = key_of(
         __name__,
@@ -199,7 +199,7 @@ def _per_ray(timings: Timings, rays: int, copies: int, portions: int) -> TreeTim
 
 
 def _prepared(frame: Frame, name: str, tracer: Tracer, trees: int) -> tuple[Records, float]:
-    """Records of one of so many trees, and the seconds that a launch of all rays takes."""
+    """Return the records of one tree, and the seconds of one launch of all rays."""
     records = make_records(frame.trees[name], frame.scene.triangles, tracer.layout)
     tracer.run(records)  # may compile
     seconds = tracer.run(records)[1].kernel
@@ -209,7 +209,7 @@ def _prepared(frame: Frame, name: str, tracer: Tracer, trees: int) -> tuple[Reco
 
 
 def _sizes(shortest: float, rays: int, lanes: Lanes) -> tuple[int, int]:
-    """How often the rays are repeated, and into how many portions they are split.
+    """Return how often to repeat the rays, and into how many portions to split them.
 
     The fastest tree decides: each of its launches is to be long enough for the stopwatch. All rays
     take it the shortest seconds.
@@ -226,7 +226,7 @@ def repeated(rays: RaySet, copies: int) -> RaySet:
 
 
 def timed_rays(rays: RaySet, lanes: Lanes, options: StudyOptions) -> RaySet:
-    """The rays that are timed: all, or with one lane per packet every k-th."""
+    """Return the rays to time: all, or every k-th with one lane per packet."""
     step = -(-len(rays) // options.scalar_rays) if lanes == "scalar" else 1
     return rays.select(slice(None, None, step))
 
@@ -234,7 +234,7 @@ def timed_rays(rays: RaySet, lanes: Lanes, options: StudyOptions) -> RaySet:
 def _tracers(
     scene: Scene, rays: RaySet, portions: int, lanes: Lanes, options: StudyOptions, style: str
 ) -> list[Tracer]:
-    """Split rays into runs of neighbours."""
+    """Split rays into contiguous portions, each ready to launch."""
     ends = np.linspace(0, len(rays), portions + 1).astype(int)
     scale = float(unit_scale(scene.triangles))
     return [

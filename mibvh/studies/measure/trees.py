@@ -1,4 +1,4 @@
-"""The trees of a scene: built, judged and counted, each step kept when it is finished."""
+"""The trees of a scene: build them, compute their metrics and count rays in them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mibvh.audit.record import Check
 from mibvh.builders import Options, build, get
 from mibvh.builders.chosen import Chosen, parse_all
 from mibvh.builders.sharing import shared_drafts
@@ -34,16 +35,16 @@ from mibvh.variant import backend
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TreeSource:
-    """Where a tree of a study comes from.
+    """Where a tree of a study comes from: a builder, or the user.
 
     Attributes
     ----------
     name : str
-        What the tree is called in tables.
+        Name of the tree in tables.
     chosen : Chosen or None
-        The registered builder that makes it, with its options.
+        The registered builder that makes it, with its options; None for a given tree.
     given : callable or None
-        Returns a finished tree, which is kept as it is.
+        Returns a finished tree, which is used unchanged; None for a builder's tree.
     """
 
     name: str
@@ -52,18 +53,18 @@ class TreeSource:
 
     @classmethod
     def of(cls, chosen: Chosen) -> TreeSource:
-        """Return the source that a builder with its options is."""
+        """Return the source for a builder with its options."""
         return cls(chosen.name, chosen)
 
     def starts(self) -> frozenset[tuple[str, Options]]:
-        """Return the builders of the trees that this one is made from, with their options."""
+        """Return the builders, with options, of the trees that this one starts from."""
         return self.chosen.starts() if self.chosen else frozenset()
 
     def key(self, scene: Scene) -> str | None:
-        """Return what its tree of this scene is kept under; None if it is not kept."""
+        """Return the cache key of its tree of this scene; None if the tree cannot be cached."""
         if self.chosen is None:
             return None
-        # The builder of the tree that it starts from may be the user's own.
+        # The code of a user's builder cannot be followed; it may also be one of the starts.
         made_by = [self.chosen.builder, *sorted(name for name, _ in self.starts())]
         code = [get(name).code() for name in made_by]
         if None in code:
@@ -82,7 +83,7 @@ class TreeSource:
         )
 
     def _files(self) -> dict[str, str]:
-        """Hash of each file that an option names."""
+        """Return the SHA-256 of each file that an option names."""
         options = dict(self.chosen.options) if self.chosen else {}
         named = {k: Path(v) for k, v in options.items() if isinstance(v, str)}
         return {
@@ -92,15 +93,15 @@ class TreeSource:
         }
 
     def make(self, scene: Scene, report: Reporter) -> Tree:
-        """Build the tree. Stages of a builder are not reported, but that it has to be compiled.
+        """Build the tree. Of the builder's stages only compilation is reported.
 
-        The builder is handed the scene: one that asks for rays gets those of its cameras.
+        The builder gets the scene, so it can ask for rays of the scene's cameras.
 
         Raises
         ------
         TreeFailed
-            If the builder is the user's own and fails, or has no tree for this scene. What a
-            builder of this package raises by mistake stays what it is.
+            If the builder refuses this scene, or is the user's own and fails. Other exceptions
+            of bundled builders are bugs, and pass unchanged.
         """
         assert self.chosen is not None, "a tree that was given is not built"
 
@@ -113,16 +114,16 @@ class TreeSource:
 
 
 def sources_of(builders: Sequence[str], trees: Mapping[str, Tree]) -> dict[str, TreeSource]:
-    """Return where the trees of a scene come from, by name: builders first, then given trees."""
+    """Return the sources of a scene's trees by name: builders first, then given trees."""
     made = [TreeSource.of(chosen) for chosen in parse_all(builders)]
     given = [TreeSource(n, given=functools.partial(trees.__getitem__, n)) for n in trees]
     return {source.name: source for source in (*made, *given)}
 
 
-def judged_alike(tree: Tree) -> Tree:
-    """Return a tree with the study's cost constants, whatever its builder went by.
+def with_paper_costs(tree: Tree) -> Tree:
+    """Return a tree with the paper's cost constants, whatever it was built with.
 
-    Trees of other constants would have figures in other units than the rest.
+    With other constants its metrics would have other units than those of the other trees.
     """
     if all(tree.meta.get(name) == value for name, value in PAPER_COSTS.items()):
         return tree
@@ -130,8 +131,8 @@ def judged_alike(tree: Tree) -> Tree:
 
 
 @dataclasses.dataclass(frozen=True)
-class TreeFigures:
-    """What is known of a tree without any ray."""
+class TreeMetrics:
+    """Metrics of a tree that need no rays."""
 
     values: dict[str, float]
     sah_by_depth: list[float]
@@ -141,16 +142,16 @@ class TreeFigures:
 def study_trees(
     sources: Mapping[str, TreeSource], counter: RayCounter, store: Store, report: Reporter
 ) -> tuple[Shelf, list[TreeRow]]:
-    """Build, judge, count and audit the trees of a scene.
+    """Build the trees of a scene, compute their metrics, count rays in them and audit them.
 
-    Trees that others start from are built once. One that cannot be had is reported as missing, and
-    the others are made without it.
+    A tree that several builders start from is built once. A tree that fails is reported as
+    missing, and the study continues with the others.
 
     Returns
     -------
     trees : Shelf
     rows : list of TreeRow
-        Without times; of those trees that could be had.
+        One for each tree that did not fail, still without times.
     """
     auditor = Auditor(counter)
     trees = Shelf()
@@ -172,7 +173,7 @@ def study_trees(
 
 
 def _shelve(source: TreeSource, scene: Scene, trees: Shelf, store: Store, report: Reporter) -> None:
-    """Put a tree on the shelf: a given one, one that the store has, or one that is built now."""
+    """Put a tree on the shelf: a given one, one from the store, or a new one."""
     key = source.key(scene)
     report(_first_stage(source, store, key), 0.0)
     if source.given is not None:
@@ -183,7 +184,7 @@ def _shelve(source: TreeSource, scene: Scene, trees: Shelf, store: Store, report
     else:
         tree = store.array(Tree, key, functools.partial(source.make, scene, report))
         again = store.again(Tree, key or key_of(tree=tree.digest), tree)
-    trees.put(source.name, judged_alike(tree), lambda: judged_alike(again()))
+    trees.put(source.name, with_paper_costs(tree), lambda: with_paper_costs(again()))
 
 
 def study_tree(
@@ -194,29 +195,52 @@ def study_tree(
     store: Store,
     report: Reporter,
 ) -> TreeRow:
-    """Judge, count and audit one tree.
+    """Compute the metrics of one tree, count rays in it and audit it.
 
     Returns
     -------
     TreeRow
-        Without times.
+        Still without times.
     """
     triangles = counter.triangles
     report("metrics", 0.5)
-    judged = judged_tree(tree, triangles, store)
+    metrics = kept_metrics(tree, triangles, store)
     report("count", 0.8)
-    counts = counted_rays(tree, counter, store)
+    counts = kept_counts(tree, counter, store)
     report("warps", 0.9)
-    values = {**judged.values, **counts.values, **counter.warps.kept(tree, store)}
-    # Nothing tells whether the code of a user's own metrics is still the same: they are not kept.
+    values = {**metrics.values, **counts.values, **counter.warps.kept(tree, store)}
+    # Not kept: nothing tells whether the code of a user's metric is still the same.
     for metric in added_metrics():
         values |= _own_metric(metric, source.name, Subject(tree, triangles), report)
     report("audit", 0.95)
+    checks = _kept_audit(tree, values, counter, auditor, store)
+    return TreeRow(
+        builder=source.name,
+        options=tree.meta.get("options", {}),
+        values=values | {"build_seconds": tree.meta.get("build_seconds", math.nan)},
+        sah_by_depth=metrics.sah_by_depth,
+        epo_by_depth=metrics.epo_by_depth,
+        cost_groups=counts.cost_groups,
+        costs_by_origin=counts.costs_by_origin,
+        leaf_distribution=counts.leaf_distribution,
+        build_report=tree.meta.get("report", {}),
+        audit=checks,
+    )
+
+
+def _kept_audit(
+    tree: Tree,
+    values: dict[str, float],
+    counter: RayCounter,
+    auditor: Auditor,
+    store: Store,
+) -> list[Check]:
+    """Return the checks of a tree: from the store, or made and kept."""
     audited = {name: values[name] for name in ("sah", "epo", "counted_cost", "warp_scalar_cost")}
-    audit_key = key_of(
+    key = key_of(
         "mibvh.studies.measure.audit",
         tree=tree.digest,
-        digest=triangles.digest,
+        digest=counter.triangles.digest,
         rays=counter.rays.digest,
         cull=counter.cull,
         backend=backend(),
@@ -224,24 +248,13 @@ def study_tree(
         **audited,
     )
     audit = functools.partial(auditor, tree, values)
-    return TreeRow(
-        builder=source.name,
-        options=tree.meta.get("options", {}),
-        values=values | {"build_seconds": tree.meta.get("build_seconds", math.nan)},
-        sah_by_depth=judged.sah_by_depth,
-        epo_by_depth=judged.epo_by_depth,
-        cost_groups=counts.cost_groups,
-        costs_by_origin=counts.costs_by_origin,
-        leaf_distribution=counts.leaf_distribution,
-        build_report=tree.meta.get("report", {}),
-        audit=store.record(f"audit-{audit_key}", Checks, audit).checks,
-    )
+    return store.record(f"audit-{key}", Checks, audit).checks
 
 
 def _own_metric(
     metric: Metric, name: str, subject: Subject, report: Reporter
 ) -> Mapping[str, float]:
-    """Compute a user's metric of a tree; NaN where it fails, which is reported."""
+    """Compute a user's metric of a tree. If it fails, report that and return NaN."""
     try:
         return metric(subject)
     except MibvhError as error:
@@ -249,19 +262,19 @@ def _own_metric(
         return {quantity.name: math.nan for quantity in metric.quantities}
 
 
-def judged_tree(tree: Tree, triangles: Triangles, store: Store) -> TreeFigures:
-    """Return a tree's figures without rays: from the store, or computed and kept.
+def kept_metrics(tree: Tree, triangles: Triangles, store: Store) -> TreeMetrics:
+    """Return a tree's metrics that need no rays: from the store, or computed and kept.
 
-    What is computed from a tree goes by its bytes; what its builder said of it is not kept.
+    The key is the tree's bytes, so values that its builder reports are not part of this.
     """
     of = {"tree": tree.digest, "digest": triangles.digest}
     key = key_of(__name__, "mibvh.metrics.registry", **of)
-    judge = functools.partial(judge_tree, tree, triangles)
-    return store.record(f"metrics-{key}", TreeFigures, judge)
+    make = functools.partial(compute_metrics, tree, triangles)
+    return store.record(f"metrics-{key}", TreeMetrics, make)
 
 
-def counted_rays(tree: Tree, counter: RayCounter, store: Store) -> Counts:
-    """Return what rays cost in a tree: from the store, or counted and kept."""
+def kept_counts(tree: Tree, counter: RayCounter, store: Store) -> Counts:
+    """Return the counts of the rays in a tree: from the store, or counted and kept."""
     key = key_of(
         "mibvh.studies.measure.counts",
         tree=tree.digest,
@@ -280,14 +293,14 @@ def _first_stage(source: TreeSource, store: Store, key: str | None) -> str:
     return "cached tree" if store.has(Tree, key) else "build"
 
 
-def judge_tree(tree: Tree, triangles: Triangles) -> TreeFigures:
+def compute_metrics(tree: Tree, triangles: Triangles) -> TreeMetrics:
     """Compute this package's metrics of a tree, and SAH and EPO by depth."""
     subject = Subject(tree, triangles)
     levels = tree.depth + 1
     values: dict[str, float] = {}
     for metric in bundled_metrics():
         values |= metric(subject)
-    return TreeFigures(
+    return TreeMetrics(
         values=values,
         sah_by_depth=np.bincount(tree.depths, subject.sah_shares, levels).tolist(),
         epo_by_depth=np.bincount(tree.depths, subject.epo_shares, levels).tolist(),

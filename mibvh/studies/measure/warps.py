@@ -1,4 +1,4 @@
-"""What rays cost in warps in lockstep, simulated: no stopwatch, no noise, the same anywhere."""
+"""The cost of rays in simulated warps, which is free of noise and the same on every machine."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class WarpRules:
 
 @dataclasses.dataclass(frozen=True)
 class WarpCosts:
-    """What the warps issued in one tree, by the names of quantities."""
+    """Costs of the warps in one tree, by the names of quantities."""
 
     values: dict[str, float]
 
 
 def simulated_rays(count: int, width: int) -> npt.NDArray[np.int64]:
-    """Places of the rays that warps are simulated with: every k-th run of ``width`` rays.
+    """Return the indices of the rays to simulate: every k-th group of ``width`` rays.
 
     Rays that stand side by side stay together, as they would share a warp; runs are spread
     evenly over the set.
@@ -57,7 +57,7 @@ def simulated_rays(count: int, width: int) -> npt.NDArray[np.int64]:
 
 
 class WarpCounter:
-    """The rays of a scene, dealt to warps in any number of its trees.
+    """Simulates warps of a scene's rays in its trees.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class WarpCounter:
         return self.all_rays if whole else self.all_rays.select(self.places)
 
     def kept(self, tree: Tree, store: Store) -> dict[str, float]:
-        """Return what the warps issue in a tree: from the store, or simulated and kept."""
+        """Return the costs of the warps in a tree: from the store, or simulated and kept."""
         key = key_of(
             __name__,
             "mibvh.traversal.warp",
@@ -95,7 +95,7 @@ class WarpCounter:
         return store.record(f"warps-{key}", WarpCosts, functools.partial(self, tree)).values
 
     def __call__(self, tree: Tree) -> WarpCosts:
-        """Simulate the warps, and lanes of their own for the same rays."""
+        """Simulate the warps, and the same rays in warps of one lane."""
         costs = _costs(tree)
         warps = simulate(tree, self.triangles, self.rays, self.rules.width, self.rules.style)
         scalar = simulate(tree, self.triangles, self.rays, 1, "single")

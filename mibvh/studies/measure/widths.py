@@ -1,4 +1,4 @@
-"""Wide trees: the same trees collapsed to more children per node, each with all figures of its own.
+"""The experiment ``width``: the same trees collapsed to more children per node.
 
 Everything here is by counted cost: rays are traced by the wide kernel, once. At width two a tree is
 itself, and its figures are those of the study.
@@ -20,7 +20,7 @@ from mibvh.studies.measure.audit import Auditor, Checks
 from mibvh.studies.measure.counts import LINES, RayCounter
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import Store, key_of
-from mibvh.studies.measure.trees import counted_rays, judged_tree
+from mibvh.studies.measure.trees import kept_counts, kept_metrics
 from mibvh.studies.record.options import WIDTHS
 from mibvh.studies.record.progress import Reporter
 from mibvh.studies.record.scene import Result
@@ -69,14 +69,14 @@ class _Values:
 
 
 class _Collapsed:
-    """A binary tree and what it collapses to, made when it is first needed."""
+    """A binary tree and its wide trees, which are made on first use."""
 
     def __init__(self, tree: Tree, counter: RayCounter) -> None:
         self.tree, self.counter = tree, counter
         self._wide: dict[int, WideTree] = {}
 
     def wide(self, width: int) -> WideTree:
-        """Return the wide tree of least SAH."""
+        """Return the wide tree of lowest SAH."""
         if width not in self._wide:
             self._wide[width] = collapse(self.tree, width)
         return self._wide[width]
@@ -87,7 +87,7 @@ class _Collapsed:
         return overlap(self.tree, self.counter.triangles).fraction
 
     def figures(self, width: int) -> _Values:
-        """Judge the wide tree and count the rays in it."""
+        """Compute the metrics of the wide tree and count the rays in it."""
         wide = self.wide(width)
         counts = self.counter(wide)
         return _Values(
@@ -101,7 +101,7 @@ class _Collapsed:
 
 
 def width_experiment(setting: Setting, report: Reporter) -> WidthResult:
-    """Collapse the trees of a scene, judge, count and audit them at every width."""
+    """Collapse the trees of a scene; compute metrics, counts and audits at every width."""
     widths = sorted({2, *(setting.options.widths or WIDTHS)})
     # The wide kernel does not re-test popped nodes, so that trees of two children must not, either.
     counter = RayCounter(setting.scene, setting.rays, cull=False)
@@ -133,15 +133,15 @@ def _rows(
 
 
 def _binary(tree: Tree, counter: RayCounter, store: Store) -> WideRow:
-    """A tree as it is: what the study knows already."""
-    judged = judged_tree(tree, counter.triangles, store)
-    counts = counted_rays(tree, counter, store)
-    of_tree = {name: judged.values[name] for name in ("sah", "epo")}
+    """Return the row of the binary tree, from the results of the base study."""
+    metrics = kept_metrics(tree, counter.triangles, store)
+    counts = kept_counts(tree, counter, store)
+    of_tree = {name: metrics.values[name] for name in ("sah", "epo")}
     return WideRow({**of_tree, "mean_children": 2.0, **counts.values}, [])
 
 
 def _row(of: _Collapsed, width: int, audited: Auditor, store: Store) -> WideRow:
-    """A wide tree: from the store, or made."""
+    """Return the row of a wide tree: from the store, or computed and kept."""
     made_of = {
         "tree": of.tree.digest,
         "digest": of.counter.triangles.digest,

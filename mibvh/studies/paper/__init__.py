@@ -1,1 +1,1 @@
-"""What Aila, Karras and Laine published, and whether a study bears it out."""
+"""The published figures and claims of Aila, Karras and Laine, compared with a study."""

@@ -1,4 +1,4 @@
-"""The paper's own scenes: where they are to be had, and what was published of each.
+"""The paper's scenes: where to get them, and the figures published for each.
 
 A user who has the files names them as the catalogue does and puts them into one folder; a study of
 the folder finds them, checks their triangle counts and shows the paper's figures beside its own.
@@ -46,7 +46,7 @@ def triangle_count_notes(name: str, triangles: int) -> list[str]:
 
 
 def scenes_in(source: Any) -> list[Any]:
-    """Return the scenes that a source stands for: those in it if it is a folder, otherwise itself.
+    """Return the scenes of a source: those in it if it is a folder, otherwise the source itself.
 
     In a folder, every mesh and Mitsuba XML file is a scene, and every folder with a ``scene.xml``.
 

@@ -1,4 +1,4 @@
-"""The figures that the paper and its slides give, read from ``published.toml``."""
+"""The figures of the paper and its slides, read from ``published.toml``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 
 class Spread(NamedTuple):
-    """Mean, least and greatest of a figure over the paper's scenes."""
+    """Mean, minimum and maximum of a figure over the paper's scenes."""
 
     mean: float
     low: float
@@ -19,7 +19,7 @@ class Spread(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PaperScene:
-    """A scene of the paper; None is what is not known.
+    """A scene of the paper; unknown values are None.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
-"""What an experiment is, and the registry of experiments.
+"""The Experiment class and the registry of experiments.
 
-An experiment measures something of a scene beside the prediction that every study makes, and says
-how that is shown. A new one is one file with an :class:`Experiment`, and one line in
+An experiment measures more of a scene than the base study does, and declares the tables, claims and
+figures that show it. A new one is one file with an :class:`Experiment`, and one line in
 :mod:`mibvh.studies.experiments`; a user's own is passed to :func:`add_experiment`.
 """
 
@@ -26,20 +26,20 @@ from mibvh.studies.record.sheet import Sheet
 
 @dataclasses.dataclass(frozen=True)
 class TidyRow:
-    """Values of one tree for ``results.parquet``, and what they are of.
+    """Values of one tree for ``results.parquet``, and the columns that identify them.
 
     Attributes
     ----------
     place : int
-        Of the tree among the scene's.
+        Index of the tree among the scene's trees.
     values : mapping of str to float
-        Quantities by name; what is not declared is left out.
+        Values by the names of quantities; undeclared names are left out.
     of : mapping of str to value
-        Columns that are other than in the rows of the study itself: ``experiment``,
+        Columns that differ from those of the base study's rows: ``experiment``,
         ``rotation``, ``max_leaf``, ``bounce``, ``viewpoint``, ``cut_depth``, ``splits``,
         ``width``, ``kind``, ``digest``.
     rays : mapping of str to int
-        Sizes of the populations of rays where they are other than the study's.
+        Sizes of the ray populations that differ from those of the base study.
     """
 
     place: int
@@ -54,7 +54,7 @@ def _nothing(*_: object) -> Iterator[Any]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """An experiment.
+    """An experiment: its measurement, and how its results are shown.
 
     Attributes
     ----------
@@ -62,22 +62,21 @@ class Experiment:
     measure : callable
         ``measure(setting, report)`` returns the experiment's :class:`Result`; see
         ``mibvh/studies/measure/setting.py`` and :class:`~mibvh.studies.record.progress.Reporter`.
-        None where nothing is measured beside what every study measures.
+        None if it measures no more than every study does.
     weight : float
-        How long it takes, as a share of the prediction's time, for the progress.
+        Its duration relative to the base study, for the progress bar.
     quantities : tuple of Quantity
-        What its rows of ``results.parquet`` hold beside the study's own quantities.
+        Quantities of its rows in ``results.parquet``, besides those of the base study.
     rows : callable
         ``rows(record)`` yields a :class:`TidyRow` per tree and case.
     sheets : callable
-        ``sheets(records)`` returns its tables for people; nothing where it was not run.
+        ``sheets(records)`` returns its tables for people; none if it was not run.
     claims : callable
         ``claims(records, correlations)`` yields the paper's claims that it can judge.
     figures : callable
-        ``figures(record)`` yields the name of a figure's file, what is said below it, and the
-        figure.
+        ``figures(record)`` yields tuples of a file name, a caption and the figure.
     audits : callable
-        ``audits(record)`` yields what else was audited: its name, and the checks.
+        ``audits(record)`` yields pairs of a name and the checks of further audits.
     """
 
     name: str
@@ -130,17 +129,17 @@ _experiments: dict[str, Experiment] = {}
 
 
 def add_experiment(experiment: Experiment) -> Experiment:
-    """Register an experiment: ``mibvh study --experiments NAME`` runs it from here on."""
+    """Register an experiment, so that ``mibvh study --experiments NAME`` can run it."""
     _experiments[experiment.name] = experiment
     EXPERIMENTS[experiment.name] = experiment.summary
     return experiment
 
 
 def experiments() -> tuple[Experiment, ...]:
-    """Return all experiments; the first is the base of all others and always made."""
+    """Return all experiments; the first is the base study, which always runs."""
     return tuple(_experiments.values())
 
 
 def chosen(names: Sequence[str]) -> list[Experiment]:
-    """Return those experiments that measure something, of the given names."""
+    """Return the experiments of these names that measure something."""
     return [e for e in experiments() if e.name in names and e.measure is not None]

@@ -1,4 +1,4 @@
-"""What a study does, and the two ready-made sets of choices."""
+"""The options of a study, and the two profiles."""
 
 from __future__ import annotations
 
@@ -21,42 +21,43 @@ EXPERIMENTS: dict[str, str] = {}
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StudyOptions:
-    """Choices of a study.
+    """Options of a study.
 
     Attributes
     ----------
     builders : tuple of str or None
-        Names, with options in parentheses where they are not the defaults, such as
-        ``sbvh(budget=2)`` (see :mod:`mibvh.builders.chosen`); or one text of them, separated by
-        commas. None for all of the paper's and the user's own; empty for none, so that only
-        given trees are studied.
+        Names, with options in parentheses, such as ``sbvh(budget=2)`` (see
+        :mod:`mibvh.builders.chosen`); or a string of them, separated by commas. None stands for
+        the paper's builders and the user's own. An empty tuple studies given trees only.
     experiments : tuple of str
-        From :data:`EXPERIMENTS`, or one text of them; ``("all",)`` for all of them.
+        Names from :data:`EXPERIMENTS`, or a string of them; ``("all",)`` for all of them.
     width, height, samples, bounces, viewpoints, seed
-        As for :func:`mibvh.diffuse_rays`; ``viewpoints`` 0 means all of a scene.
+        As for :func:`mibvh.diffuse_rays`: ``width`` and ``height`` are pixels per viewpoint.
+        ``viewpoints`` 0 means all viewpoints of a scene.
     scalar_rays : int
         Largest number of rays timed with one lane per packet: every k-th ray of the set.
     seconds : float
-        Time budget for the stopwatch, per scene and lane mode.
+        Time budget of the stopwatch, per scene and lane mode.
     standard_error : float
-        Relative standard error of a tree's time at which measuring stops.
+        Relative standard error of a tree's time at which timing stops.
     cull : bool
-        Re-test popped nodes; off as in the paper.
+        Re-test popped nodes against the current hit; off, as in the paper.
     warp_width : int
-        Lanes of the warps that are simulated.
+        Number of lanes of the simulated warps.
     warp_style : str
-        Their rules, from :data:`mibvh.traversal.warp.STYLES`; by default the paper's kernel.
+        Rules of the simulated warps, from :data:`mibvh.traversal.warp.STYLES`; by default those
+        of the paper's kernel.
     styles : tuple of str
         Kernels that the experiment ``styles`` times and simulates, from
-        :data:`mibvh.traversal.styles.STYLES`, or one text of them; others than ``single`` alone
-        ask for that experiment. All else is by ``single``.
+        :data:`mibvh.traversal.styles.STYLES`, or a string of them. Any other than ``single``
+        turns that experiment on. Everything else uses ``single``.
     widths : tuple of int
-        Children per node to which the trees are collapsed, from 2, 4, 8. Some turn the experiment
-        ``width`` on; without any it takes all three.
+        Children per node (2, 4 or 8) to which the experiment ``width`` collapses the trees. Any
+        turns that experiment on; if there is none, it takes all three.
     kinds : tuple of str
-        Kinds of rays (:data:`mibvh.rays.kinds.KINDS`), each with the weight in the mixture that it
-        has behind a colon, such as ``shadow2:0.5``, or all without. Some turn the experiment
-        ``kinds`` on; without any it takes :data:`KINDS`.
+        Kinds of rays (:data:`mibvh.rays.kinds.KINDS`) for the experiment ``kinds``. All or none
+        have a weight in the mixture after a colon, such as ``shadow2:0.5``. Any turns that
+        experiment on; if there is none, it takes :data:`KINDS`.
     """
 
     builders: tuple[str, ...] | None = None
@@ -99,7 +100,7 @@ class StudyOptions:
             names = split(given) if isinstance(given, str) else _names(name, given)
             object.__setattr__(self, name, names)
         object.__setattr__(self, "widths", widths_of(self.widths))
-        weights(self.kinds)  # refuses what is none
+        weights(self.kinds)  # raises if one is invalid
         self._ask_for("width", bool(self.widths))
         self._ask_for("kinds", bool(self.kinds))
         if self.experiments == ("all",):
@@ -113,12 +114,12 @@ class StudyOptions:
             )
 
     def _ask_for(self, experiment: str, asked: bool) -> None:
-        """Add an experiment that another choice asks for."""
+        """Add an experiment that another option turns on."""
         if asked and not {experiment, "all"} & set(self.experiments):
             object.__setattr__(self, "experiments", (*self.experiments, experiment))
 
     def _check_warps(self) -> None:
-        from mibvh.traversal.warp import check_rules  # compiled code: not for options' sake
+        from mibvh.traversal.warp import check_rules  # late: importing compiled code is slow
 
         check_rules(self.warp_width, self.warp_style)
 
@@ -145,14 +146,14 @@ class StudyOptions:
         return {"width": self.warp_width, "style": self.warp_style}
 
     def stopwatch(self, lanes: str) -> dict[str, Any]:
-        """What times depend on, besides the trees, the rays and the machine."""
+        """Options that times depend on, besides the trees, the rays and the machine."""
         names = ("seconds", "standard_error", "cull")
         chosen = (*names, *(("scalar_rays",) if lanes == "scalar" else ()))
         return {"by": "portions", **{n: getattr(self, n) for n in chosen}}
 
 
 def widths_of(given: Any) -> tuple[int, ...]:
-    """Children per node, in order, of a sequence of them or a text such as ``2,4,8``.
+    """Return widths in ascending order, from a sequence or a string such as ``2,4,8``.
 
     Raises
     ------
@@ -170,12 +171,23 @@ def widths_of(given: Any) -> tuple[int, ...]:
 
 
 def weights(kinds: Iterable[str]) -> dict[str, float | None]:
-    """The kinds of rays of a study, and their weights in the mixture; None for their numbers.
+    """Parse kinds of rays with their weights in the mixture.
+
+    Parameters
+    ----------
+    kinds : iterable of str
+        Such as ``shadow`` or ``shadow:2``.
+
+    Returns
+    -------
+    dict of str to float or None
+        The weight of each kind; None if rays count by their numbers.
 
     Raises
     ------
     MibvhError
-        If there is no such kind, one is named twice, or some have a weight and some have none.
+        If a kind is unknown or named twice, a weight is negative or all are 0, or only some kinds
+        have a weight.
     """
     found: dict[str, float | None] = {}
     for kind in kinds:
@@ -198,23 +210,23 @@ def weights(kinds: Iterable[str]) -> dict[str, float | None]:
 
 
 def kinds_or_files(text: str) -> tuple[tuple[str, ...], list[str]]:
-    """Tell kinds of rays from files of them.
+    """Tell whether a list names kinds of rays or ray files.
 
     Parameters
     ----------
     text : str
-        Kinds or files, separated by commas; empty for neither.
+        Kinds or files, separated by commas; may be empty.
 
     Returns
     -------
     kinds : tuple of str
     files : list of str
-        One of the two is empty.
+        At least one of the two is empty.
 
     Raises
     ------
     MibvhError
-        If there are some of each.
+        If the list mixes kinds and files.
     """
     parts = text.split(",") if text else []
     kinds = [part.strip() for part in parts if _is_kind(part.strip())]
@@ -235,7 +247,7 @@ def _is_kind(text: str) -> bool:
 
 
 def _names(option: str, given: Any) -> tuple[str, ...]:
-    """A tuple of names, of any sequence of them."""
+    """Return a tuple of names, from any iterable of strings."""
     if not isinstance(given, Iterable) or not all(isinstance(name, str) for name in given):
         raise MibvhError(f"{option} takes names, not {given!r}")
     return tuple(given)

@@ -1,4 +1,4 @@
-"""Where a study is: what the callback of :func:`mibvh.study` is given."""
+"""The progress of a study, which the callback of :func:`mibvh.study` receives."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from collections.abc import Callable
 from mibvh.errors import MibvhError
 from mibvh.studies.record.scene import Missing
 
-#: The last stage of a scene that cannot be studied.
+#: The stage of a scene that cannot be studied.
 LEFT_OUT = "left out"
-#: The stage of a step that says what the study goes on without.
+#: The stage of a step that reports a missing result.
 MISSING = "missing"
 
 
@@ -26,13 +26,13 @@ class Progress:
         The stage is ``rays``, ``compiling``, ``build``, ``metrics``, ``count``, ``time scalar``
         and so on; ``done`` when the scene is finished, ``left out`` when it cannot be studied.
     builder : str or None
-        Whose tree is in hand; None for what concerns all trees.
+        Name of the current tree; None for steps that concern all trees.
     done : float
         From 0 to 1 within the scene.
     memory : float or None
-        Bytes that the process is expected to take, told once, before the first stage.
+        Predicted peak memory of the process in bytes, reported once, before the first stage.
     missing : str or None
-        What the study goes on without, and why, told once.
+        A result that the study continues without, and why; reported once.
     """
 
     scene: str
@@ -48,13 +48,13 @@ class Progress:
         return " ".join(word for word in words if word)
 
 
-#: Takes the steps of a study, from any thread.
+#: A callback for the steps of a study. Any thread may call it.
 Listener = Callable[[Progress], None]
 
 
 @dataclasses.dataclass(frozen=True)
 class Reporter:
-    """Reports the steps of one part of a scene's study as those of the whole.
+    """Reports the progress of one part of a scene's study as progress of the whole.
 
     Attributes
     ----------
@@ -62,9 +62,9 @@ class Reporter:
     scene, experiment : str
     builder : str or None
     begin, share : float
-        Where in the scene's progress the part begins, and how much of it the part is.
+        Where the part begins within the scene's progress, and its share of it.
     found_missing : list of Missing
-        What was reported to be missing, of all parts.
+        Everything that was reported missing, shared by the reporters of all parts.
     """
 
     listener: Listener
@@ -76,17 +76,17 @@ class Reporter:
     found_missing: list[Missing] = dataclasses.field(default_factory=list)
 
     def __call__(self, stage: str, done: float) -> None:
-        """Report that a stage of this part is reached, ``done`` from 0 to 1 within the part."""
+        """Report that this part has reached a stage; ``done`` is from 0 to 1 within the part."""
         at = self.begin + self.share * done
         self.listener(Progress(self.scene, self.experiment, stage, self.builder, at))
 
     def expect(self, memory: float) -> None:
-        """Report how many bytes the process is expected to take."""
+        """Report the predicted peak memory of the process, in bytes."""
         step = Progress(self.scene, self.experiment, "rays", self.builder, self.begin, memory)
         self.listener(step)
 
     def missing(self, what: str, why: MibvhError, tree: str = "") -> None:
-        """Report that the study goes on without something; of the base experiment, maybe a tree."""
+        """Report a missing result; ``tree`` names a whole tree that the base study lacks."""
         where = f" in the experiment {self.experiment}" if self.experiment else ""
         found = Missing(what + where, str(why), "" if where else tree)
         self.found_missing.append(found)

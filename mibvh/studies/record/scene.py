@@ -1,7 +1,7 @@
-"""What a study knows of a scene, as typed records.
+"""The results of a study for one scene, as typed records.
 
-Numbers of a tree stand in :attr:`TreeRow.values` under the names of the quantities that are
-declared in :mod:`mibvh.studies.record.quantities`; all else has a field of its own.
+The numbers of a tree are in :attr:`TreeRow.values`, by the names of the quantities that are
+declared in :mod:`mibvh.studies.record.quantities`. Everything else has a field of its own.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.serialise import from_json, to_json
 from mibvh.triangles import F64
 
-#: To be raised with every change of the fields below.
+#: Increase this with every change of the fields below.
 FORMAT = 11
 
 
@@ -38,27 +38,27 @@ class OriginCost:
 
 @dataclasses.dataclass(frozen=True)
 class TreeRow:
-    """A tree of a scene, and what was found of it.
+    """The results for one tree of a scene.
 
     Attributes
     ----------
     builder : str
-        What the tree is called in tables.
+        Name of the tree in tables: its builder with options, or the name of a given tree.
     options : dict
-        The builder's, seeds included.
+        All options of the builder, seeds included.
     values : dict of str to float
-        By the names of quantities.
+        Values by the names of quantities.
     sah_by_depth, epo_by_depth : list of float
-        Cost of the nodes at each depth.
+        Contribution of the nodes at each depth, root first.
     cost_groups : list of float
-        Mean counted cost over each of some random groups of rays, for the bootstrap.
+        Mean counted cost of each of several groups of rays, for the bootstrap.
     costs_by_origin : list of OriginCost
     leaf_distribution : list of int
-        How many rays visited 0, 1, 2, ... leaves.
+        Number of rays that visited 0, 1, 2, ... leaves.
     build_report : dict
-        What the builder said of its work.
+        What the builder reported.
     audit : list of Check
-        The checks of the tree and of its figures.
+        The checks of the tree and of its numbers.
     """
 
     builder: str
@@ -100,20 +100,20 @@ class Timing:
     Attributes
     ----------
     rounds : int
-        In which every tree was timed once.
+        Number of rounds; in each, every tree was timed once.
     complete : bool
-        Whether the error asked for was reached before the time ran out.
+        Whether the requested error was reached within the time budget.
     rays, portions : int
-        How many rays were timed, and in how many portions; no portions where they are too few
-        to be timed.
+        Number of rays timed, and number of portions that they were timed in; 0 portions if the
+        rays are too few to be timed.
     copies : int
-        How often they were repeated to fill a launch.
+        How often the rays were repeated to fill a launch.
     clock : str
-        By which the trees are compared: ``kernel``, its wall time, or ``process``, the CPU time
-        of the process.
+        The clock that trees are compared by: ``kernel`` (wall time of the kernel) or ``process``
+        (CPU time of the process).
     repeat_difference : float
-        By how much the first tree, timed twice under two names, differed from itself; NaN where
-        no tree was.
+        Relative difference between two timings of the first tree, entered under two names; NaN
+        if no tree was timed twice.
     """
 
     rounds: int
@@ -127,7 +127,7 @@ class Timing:
 
 @dataclasses.dataclass(frozen=True)
 class Missing:
-    """What of a scene could not be had, and why: the rest of its figures are without it.
+    """A result that a study failed to get, while it continued with the rest.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ class Missing:
     why : str
         One sentence.
     tree : str
-        The tree that has no row for it; empty where it is less than a tree.
+        Name of the tree, if a whole tree is missing; otherwise empty.
     """
 
     what: str
@@ -163,7 +163,7 @@ class RayFacts:
 
 
 class Result:
-    """What an experiment found of a scene; a dataclass per experiment inherits from this.
+    """Base class for the result of an experiment: each experiment has a dataclass of its own.
 
     >>> class Twice(Result, experiment="twice"):
     ...     pass
@@ -186,7 +186,7 @@ R = TypeVar("R", bound=Result)
 
 @dataclasses.dataclass(frozen=True)
 class SceneRecord:
-    """All that a study knows of a scene.
+    """All results of a study for one scene.
 
     Attributes
     ----------
@@ -196,30 +196,29 @@ class SceneRecord:
     digest : str
         Hash of the triangles.
     notes : list of str
-        What a reader has to know, in sentences.
+        Sentences for the reader of the report.
     rays : RayFacts
     timing : dict of str to Timing
         By lane mode, ``scalar`` and ``simd``.
     trees : list of TreeRow
     options : StudyOptions
     environment : dict
-        What it was measured on; see :func:`mibvh.environment.environment`.
+        Hardware and software; see :func:`mibvh.environment.environment`.
     picture : str
-        PNG, base64-encoded; empty where there is none.
+        A PNG, base64-encoded; empty if there is none.
     seconds : dict of str to float
-        What each stage took, in the runs that its pieces were made in.
+        Seconds of each stage, summed over the runs in which its pieces were made.
     reused : dict of str to int
-        How many pieces of each stage the last run took from the study's folder.
+        Number of pieces of each stage that the last run found in the study's folder.
     code : str
         Hash of the code that measured the scene.
     memory : dict of str to float
-        Bytes that the process had in use at most, by stage, in the last run; as ``predicted``, what
-        was expected of it all.
+        Peak memory of the process in bytes, by stage, in the last run; ``predicted`` is the
+        predicted peak of the whole study.
     results : dict of str to Result
-        Of the experiments beside prediction that were run, by name.
+        Results of the other experiments that were run, by name.
     missing : list of Missing
-        Trees that a builder of the user's own failed at, and the like; the next run tries them
-        again.
+        Trees, metrics and the like that failed; the next run tries them again.
     """
 
     scene: str
@@ -240,7 +239,7 @@ class SceneRecord:
     missing: list[Missing] = dataclasses.field(default_factory=list)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "scene", plain(self.scene))  # a file may be called anything
+        object.__setattr__(self, "scene", plain(self.scene))  # a file may have any name
 
     def __getitem__(self, name: str) -> Any:
         """Return a field or an experiment's result by name, as when records were dicts."""
@@ -256,27 +255,27 @@ class SceneRecord:
         return np.array([tree[name] for tree in self.trees], dtype=np.float64)
 
     def knows(self, name: str) -> bool:
-        """Whether a quantity is known of all trees: times are not, where rays are too few."""
+        """Whether all trees have a value of a quantity; times are missing if rays are too few."""
         return bool(np.isfinite(self.column(name)).all())
 
     @property
     def over(self) -> str:
-        """Over how many trees the scene's figures are, where some are missing; otherwise empty."""
+        """Such as ``8 of 9 trees``, if some trees are missing; otherwise empty."""
         count, without = len(self.trees), [one.tree for one in self.missing if one.tree]
         return f"{count} of {count + len(without)} trees" if without else ""
 
     def splits_triangles(self, tree: TreeRow) -> bool:
-        """Whether a tree enters some triangle more than once."""
+        """Whether a tree has several references to some triangle."""
         return tree["references"] > self.triangles
 
     def result(self, kind: type[R]) -> R | None:
-        """Return what an experiment found, or None if it was not run."""
+        """Return the result of an experiment, or None if it was not run."""
         return self.results.get(kind.experiment)
 
     def sample(self, target: str) -> Sample:
-        """Return what is known of the trees, and the quantity that is to be predicted.
+        """Return the quantities of the trees, and the one that is to be predicted.
 
-        It is the same object whenever it is asked for, so that fits to it are kept.
+        Every call returns the same object, because fits are cached by identity.
         """
         if target not in self._samples:
             names = set.intersection(*(set(tree.values) for tree in self.trees))
@@ -299,7 +298,7 @@ class SceneRecord:
         Raises
         ------
         MibvhError
-            If it is of another version of mibvh.
+            If the data do not fit the fields, as those of another version of mibvh.
         """
         read = from_json(dict[str, Any], data)
         found = from_json(dict[str, Any], read.pop("results", {}))

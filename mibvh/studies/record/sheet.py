@@ -1,4 +1,4 @@
-"""A table for people: the one form from which the report, Markdown, LaTeX and CSV are written."""
+"""A table for people, which is written to the report, Markdown, LaTeX and CSV."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ import pandas as pd
 from mibvh.files import atomic_path
 from mibvh.metrics.registry import Quantity
 
-#: What stands where there is no value.
+#: Shown in place of a missing value.
 _NONE = "–"
-#: What LaTeX takes for commands, and letters and signs that it does not know by themselves.
+#: Escapes for LaTeX: its special characters, and characters that its default fonts lack.
 _LATEX = str.maketrans({
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
     **{sign: "\\" + sign for sign in "&%$#_{}"},
@@ -25,25 +25,26 @@ _LATEX = str.maketrans({
     "–": "--", "×": r"$\times$", "≥": r"$\geq$", "≤": r"$\leq$", "√": r"$\surd$", "²": "$^2$",
     "°": r"$^\circ$", "∞": r"$\infty$", "[": "{[}", "*": "{*}",  # behind a line's end, commands
 })  # fmt: skip
-#: What Markdown takes for a table's edge, HTML, code, a link or emphasis.
+#: Characters that Markdown reads as a table's edge, HTML, code, a link or emphasis.
 _MARKDOWN = re.compile(r"[\\|<>`*\[\]]|(?<![^\W_])_|_(?![^\W_])|&(?=#?\w+;)")
-#: What a spreadsheet takes for the beginning of a formula, unless a number follows the sign.
+#: Text that a spreadsheet reads as the beginning of a formula; a signed number is none.
 _FORMULA = re.compile(r"[=@\t\r]|[+-](?!\d[\d.,]*\s?[%°×]?$)")
 
 
 class Cell(NamedTuple):
-    """A value as it is read.
+    """A value as a table shows it.
 
     Attributes
     ----------
     text : str
     sort : float or str
-        What it sorts by.
+        The key that its column is sorted by.
     error : str
+        Its relative error, such as ``±0.5%``; empty if it has none.
     best : bool
         Whether it is the best of its column, by more than the errors.
     alarm : bool
-        Whether it is not to be believed.
+        Whether it is unreliable, and marked as such.
     """
 
     text: str
@@ -60,20 +61,20 @@ class Column:
     Attributes
     ----------
     key : str
-        Of the values in the frame.
+        Name of the values in the frame.
     heading : str
-        The key itself if it is empty.
+        The key itself if this is empty.
     format : str
-        How its numbers are written, such as ``.3f``; text stays as it is.
+        Format of its numbers, such as ``.3f``; text is not formatted.
     help : str
-        What it is, in a few words.
+        A short explanation.
     error : str
-        Key of the relative error that is shown behind its values; that key has no column of its
-        own in the table, but one in the file of its values.
+        Key of the relative error that is shown after each value. It has no column of its own in the
+        table, but one in the data file.
     smaller_is_better : bool
-        Whether the smallest value is marked as the best, if its lead is beyond the errors.
+        Whether the smallest value is marked as the best, if its lead exceeds the errors.
     alarm : str
-        Key of the column that says which values are not to be believed.
+        Key of the column that flags unreliable values.
     """
 
     key: str
@@ -86,12 +87,12 @@ class Column:
 
     @property
     def head(self) -> str:
-        """What stands above it."""
+        """The heading, or the key if there is none."""
         return self.heading or self.key
 
     @classmethod
     def of(cls, quantity: Quantity, error: bool = False, alarm: str = "") -> Column:
-        """Return the column of a quantity, with its error behind it if that is asked for."""
+        """Return the column of a quantity, with its error after the values on request."""
         return cls(
             key=quantity.name,
             heading=quantity.heading,
@@ -110,20 +111,20 @@ class Sheet:
     Attributes
     ----------
     name : str
-        Of its files; no spaces.
+        Name of its files, without spaces.
     section : str
-        Heading under which it stands; sheets of a section follow each other.
+        Heading of its section; the sheets of a section follow each other.
     title : str
     frame : DataFrame
         The values.
     columns : sequence of Column
-        What is shown of the frame. The first says what a row is about.
+        The columns that are shown. The first identifies the row.
     note : str
-        What a reader needs to know, in a sentence or two.
+        An explanation in a sentence or two.
     glossary : dict of str to str
-        What words in the cells mean, such as the names of predictors.
+        Explanations of words in the cells, such as the names of predictors.
     unfolded : bool
-        Whether a page shows it at once however many rows it has.
+        Whether a page shows all its rows at once, however many there are.
     """
 
     name: str
@@ -142,7 +143,7 @@ class Sheet:
 
     @property
     def values(self) -> pd.DataFrame:
-        """The values under their headings, errors after all others: what a file holds."""
+        """The values for a data file, by heading, with errors in the last columns."""
         errors = {c.error: f"{c.head} error" for c in self.columns if c.error}
         names = {c.key: c.head for c in self.columns} | errors
         return self.frame[list(names)].rename(columns=names)
@@ -163,7 +164,7 @@ class Sheet:
 
     @functools.cached_property
     def _rows(self) -> list[list[Cell]]:
-        """The cells: made once for the page, Markdown and LaTeX."""
+        """The cells, cached because the page, Markdown and LaTeX all need them."""
         least = {c: _clear_least(self.frame, c) for c in self.columns if c.smaller_is_better}
         keys = dict.fromkeys(k for c in self.columns for k in (c.key, c.error, c.alarm) if k)
         # to_dict("records") takes five times as long.
@@ -174,7 +175,7 @@ class Sheet:
         ]
 
     def markdown(self) -> str:
-        """As a Markdown table under a heading."""
+        """Return a Markdown table under a heading."""
         heads = [column.head for column in self.columns]
         marks = ["---" if self.is_text(column) else "---:" for column in self.columns]
         rows = ([literal(cell.text) for cell in row] for row in self.rows())
@@ -184,7 +185,7 @@ class Sheet:
         return "\n\n".join(part for part in parts if part) + "\n"
 
     def latex(self) -> str:
-        """As a LaTeX table in the manner of the package ``booktabs``; the best values are bold."""
+        """Return a LaTeX table for the package ``booktabs``; the best values are bold."""
         columns = "".join("l" if self.is_text(column) else "r" for column in self.columns)
         caption = " ".join(part for part in (f"{self.title}.", self.note) if part)
         head = " & ".join(_latex(column.head) for column in self.columns)
@@ -205,9 +206,9 @@ class Sheet:
 
 
 def _clear_least(frame: pd.DataFrame, column: Column) -> float | None:
-    """The least value, or None if its lead over the next one is within their errors.
+    """Return the smallest value, or None if its lead over the next is within the errors.
 
-    Equal values share the lead. Of times, the lead must be twice the standard error of the
+    Equal values share the lead. With errors, the lead must exceed twice the standard error of the
     difference.
     """
     values = frame[column.key].to_numpy(np.float64)
@@ -250,7 +251,7 @@ def _latex(text: str) -> str:
 
 
 def literal(text: str) -> str:
-    """Return text that Markdown shows as it is."""
+    """Escape text so that Markdown shows it literally."""
     return _MARKDOWN.sub(lambda found: "\\" + found[0], " ".join(text.split()))
 
 
@@ -260,7 +261,7 @@ def write_csv(frame: pd.DataFrame, path: str | os.PathLike[str]) -> None:
     Parameters
     ----------
     frame : DataFrame
-        Names in it may be anybody's.
+        May contain names that come from untrusted files.
     path : path
     """
     harmless = frame.rename(columns=_no_formula)

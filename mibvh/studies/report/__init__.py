@@ -1,1 +1,1 @@
-"""What people and programs read: tables, figures, the page, files, progress."""
+"""Output for people and programs: tables, figures, the page, data files, progress."""

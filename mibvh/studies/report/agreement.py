@@ -1,4 +1,4 @@
-"""Figures of predicted against measured cost: a panel per scene, and per measurement of one."""
+"""Figures of predicted against measured cost: one panel per scene, or per measurement."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def _multiple(
 def _at_edge(
     panel: Panel, names: Sequence[str], values: F64, measured: F64, beside: tuple[float, float]
 ) -> None:
-    """Name the tree that stands at the edge, and say its cost."""
+    """Label the tree at the edge of a panel with its name and cost."""
     for i in np.flatnonzero(~together(measured)).tolist():
         x, y = float(panel.x(values[i])) + beside[0], float(panel.y(measured[i])) + beside[1]
         said = f"{names[i]}: {measured[i]:.3g}"
@@ -114,7 +114,7 @@ def _at_edge(
 
 
 def together(measured: F64) -> npt.NDArray[np.bool_]:
-    """(T,) bool: all trees but the dearest, if beside it the others would be crowded.
+    """Return (T,) bool: all trees except the most expensive, if it would crowd the others.
 
     They would where they fill less than half of the axis. The dearest then stands at the edge of
     the panel, with its cost.
@@ -204,5 +204,5 @@ def limits_beside(values: F64, measured: F64) -> tuple[tuple[float, float], tupl
 
 
 def _line_through(ends: F64) -> F64:
-    """(40, 2): points along a line, that names are to stand clear of."""
+    """Return (40, 2) points along a line, which labels must not cover."""
     return np.linspace(ends[0], ends[1], 40)

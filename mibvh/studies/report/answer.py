@@ -1,4 +1,4 @@
-"""What a study found, in a few lines: for the head of the report, and for a terminal."""
+"""The main findings of a study, for the head of the report and for a terminal."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def answer(records: Records, correlations: pd.DataFrame) -> list[str]:
 
 
 def _each(records: Records) -> Iterator[str]:
-    """The best tree of each scene, by how much, and whether times say the same."""
+    """State the best tree of each scene, its lead, and whether times agree."""
     for place, record in enumerate(records):
         best, timed = winner(record), winner_in_time(record, SCALAR)
         line = f"{record.scene}: {best}, by {'counted cost' if place else _COUNTED}"
@@ -73,7 +73,7 @@ def _each(records: Records) -> Iterator[str]:
 
 
 def _best(records: Records) -> Iterator[str]:
-    """Which tree is the best how often, what one builder for all costs, whether that is sure."""
+    """State how often each builder is the best, and what one builder for all scenes costs."""
     won = wins(records)
     told = ", ".join(f"{name} in {count}" for name, count in won.items())
     open_ = len(records) - sum(won.values())
@@ -91,19 +91,19 @@ def _best(records: Records) -> Iterator[str]:
 
 
 def _more(over: F64) -> str:
-    """By how much costs are over the best: the mean, and the worst if there are several."""
+    """Format how far costs are above the best: the mean, and the worst if there are several."""
     worst = f" (worst {_share(over.max())})" if len(over) > 1 else ""
     return f"{_share(over.mean())}{worst}"
 
 
 def _share(over: float) -> str:
-    """By how much a cost is over the best; what rounds to nothing has a digit more."""
+    """Format how far a cost is above the best, with another digit if it rounds to 0."""
     more = float(over) - 1
     return f"{more:.{2 if 0 < more < 0.0005 else 1}%}"
 
 
 def _believed(records: Records, sure: int) -> str:
-    """How many leads are beyond their errors, by counts and by the stopwatch."""
+    """State how many leads exceed their errors, by counts and by the stopwatch."""
     line = (
         "How sure: counts are exact for their rays, and with other rays the same tree would win "
         f"in {sure} of {len(records)} scenes (its lead is beyond twice its error)"
@@ -119,7 +119,7 @@ def _believed(records: Records, sure: int) -> str:
 
 
 def _given(record: SceneRecord) -> Iterator[str]:
-    """Where the trees stand that were not built here."""
+    """State the ranks of the given trees."""
     cost, built = record.column("counted_cost"), record.column("build_seconds")
     best = int(np.argmin(cost))
     for i, tree in enumerate(record.trees):
@@ -130,14 +130,14 @@ def _given(record: SceneRecord) -> Iterator[str]:
 
 
 def _without(records: Records) -> Iterator[str]:
-    """Over how many trees the figures of scenes are that some tree is missing of."""
+    """State the number of trees of the scenes that have missing trees."""
     told = [f"{record.over} of {record.scene}" for record in records if record.over]
     if told:
         yield f"Missing trees: figures and correlations are over {', '.join(told)}"
 
 
 def _checked(records: Records) -> Iterator[str]:
-    """What the numbers were checked by, and how well times are known."""
+    """State the result of the audit, and the error of the times."""
     checks = sum(len(of) for record in records for _, of in audits(record))
     if checks:
         line = f"{checks:,} comparisons with independent code, {len(failures(records)) or 'none'}"
@@ -147,7 +147,7 @@ def _checked(records: Records) -> Iterator[str]:
 
 
 def _predicted(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[str]:
-    """Which predictor to use, and how well it did."""
+    """State the advised predictor, and how well it did."""
     if advised is None:
         return
     table = overview(correlations)
@@ -164,7 +164,7 @@ def _predicted(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[s
 
 
 def _chosen(records: Records, advised: Advice | None) -> Iterator[str]:
-    """What it costs to build what the predictor says, and what SAH says."""
+    """State the cost of following the predictor, and of following SAH."""
     if advised is None:
         return
     names = dict.fromkeys((advised.name, "SAH"))
@@ -176,7 +176,7 @@ def _chosen(records: Records, advised: Advice | None) -> Iterator[str]:
 
 
 def _choice(over: F64) -> str:
-    """How good the trees are that a predictor chooses, by their costs over the best."""
+    """Format how good the trees are that a predictor ranks first."""
     if len(over) == 1:
         return f"costs {_more(over)} more than the best" if over[0] > 1 else "is the best"
     best = int((over == 1).sum())
@@ -185,7 +185,7 @@ def _choice(over: F64) -> str:
 
 
 def _others(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[str]:
-    """How well the other named predictors did."""
+    """State how well the other named predictors did."""
     if advised is None:
         return
     counted = overview(correlations).loc["counted_cost"]
@@ -196,13 +196,13 @@ def _others(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[str]
 
 
 def _r(row: pd.Series) -> str:
-    """Mean r over the scenes, and the worst if there are several."""
+    """Format the mean r over the scenes, and the worst if there are several."""
     worst = f" (worst {row['min']:.3f})" if row["scenes"] > 1 else ""
     return f"{row['mean']:.3f}{worst}"
 
 
 def _why(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[str]:
-    """Why the predictor is advised, and what the fitted weights say of where the cost is."""
+    """State why the predictor is advised, and what the fitted weights say about the cost."""
     if advised is not None:
         yield f"Why: {_WHY.get(advised.name, glossary()[advised.name])}"
     of = correlations[

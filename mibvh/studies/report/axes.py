@@ -18,7 +18,7 @@ _TICK = 8.5
 
 
 class Axis:
-    """One direction of a panel: limits, and where a value stands.
+    """One axis of a panel: its limits, and the positions of values.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Axis:
         self._begin, self._end = begin, end
 
     def __call__(self, values: npt.ArrayLike) -> F64:
-        """Return where values stand, in points; what is outside stands at the edge."""
+        """Return the positions of values in points; those outside the limits are at the edge."""
         of = np.log if self.log else np.asarray
         low, high = sorted((self.low, self.high))
         clipped = np.clip(np.asarray(values, np.float64), low, high)

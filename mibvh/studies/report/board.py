@@ -1,4 +1,4 @@
-"""The progress of a study: bars on a terminal, lines for machines, few lines elsewhere."""
+"""Shows the progress of a study: bars on a terminal, JSON lines, or few lines of text."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _EVERY = 1.0
 
 
 class Board:
-    """Shows where a study is and how long it will take.
+    """Shows the progress of a study and the time left.
 
     Called as the ``progress`` of :func:`mibvh.study`, from any thread; several scenes may be
     under way at a time.
@@ -58,7 +58,7 @@ class Board:
             self._heartbeat.__exit__(None, None, None)
 
     def _sign_of_life(self) -> bool:
-        """Say where the study is, if it has been at one step for long."""
+        """Print the current step again, if it has lasted long."""
         with self._lock:
             step, now = self._step, time.monotonic()
             if step is None or step.done == 1.0:
@@ -74,7 +74,7 @@ class Board:
         return True
 
     def __call__(self, step: Progress) -> None:
-        """Note that a step is reached."""
+        """Show that a step was reached."""
         scene, done = step.scene, step.done
         with self._lock:
             now = time.monotonic()
@@ -98,7 +98,7 @@ class Board:
                 self._heartbeat.beat()
 
     def _tell(self, step: Progress, now: float) -> None:
-        """Say what the study goes on without."""
+        """Print a missing result."""
         line = f"{step.scene}: {step.missing}"
         if self._lines:
             if step.stage == MISSING:  # the end of a scene has a line anyway
@@ -171,14 +171,14 @@ def _room(memory: float) -> str:
 
 
 class _Left(NamedTuple):
-    """Seconds left, of the scene and of the study; None where there is no pace yet."""
+    """Seconds left for the scene and for the study; None if there is no estimate yet."""
 
     scene: float | None
     all: float | None
 
 
 def _left(spent: float, done: float, total: float) -> float | None:
-    """Seconds left at the pace so far; None where there is no pace yet."""
+    """Return the seconds left at the pace so far; None if there is no estimate yet."""
     return round(spent * (total - done) / done, 1) if done > 0 else None
 
 

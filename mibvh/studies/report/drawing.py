@@ -31,7 +31,7 @@ _BASELINE = 0.35
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Mark:
-    """What all marks have.
+    """Base class of all marks.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Words(Mark):
 
 
 class Part(NamedTuple):
-    """A part of a drawing that a page may set by itself: its corner, its size, what it shows."""
+    """A part of a drawing that a page may show alone: its corner, size and title."""
 
     x: float
     y: float
@@ -94,7 +94,7 @@ class Part(NamedTuple):
 
 
 class Drawing:
-    """Marks on a sheet of a size in points.
+    """A sheet with marks; its size is in points.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Drawing:
         self.marks += marks
 
     def svg(self, part: Part | None = None) -> str:
-        """As SVG, or a part of it; the text has the colour of the page it is in."""
+        """Return SVG of the drawing or of a part; text takes the colour of the page."""
         x, y, width, height, title = part or Part(0, 0, self.width, self.height)
         marks = self.marks if part is None else [m for m in self.marks if _inside(m, part)]
         body = "".join(map(self._svg_of, marks))
@@ -133,7 +133,7 @@ class Drawing:
         return self._written[id(mark)]
 
     def file(self) -> str:
-        """As an SVG file that stands alone."""
+        """Return the text of a self-contained SVG file."""
         size = f'width="{self.width:g}pt" height="{self.height:g}pt" viewBox'
         return self.svg().replace("viewBox", size, 1).replace(INK, _DARK)
 

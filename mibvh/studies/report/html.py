@@ -185,7 +185,7 @@ class _Draw:
 
 
 def _trees_each(records: Records) -> str:
-    """How many trees a scene has."""
+    """Format the number of trees per scene."""
     counts = sorted({len(record.trees) for record in records})
     told = " to ".join(map(str, dict.fromkeys((counts[0], counts[-1]))))
     return f"{told} tree{'s' * (counts[-1] != 1)} each"
@@ -200,7 +200,7 @@ def _other_names(correlations: pd.DataFrame) -> list[str]:
 
 
 def _main_predictor(correlations: pd.DataFrame) -> str:
-    """Return the predictor of the small multiples: the one that is advised."""
+    """Return the predictor of the small multiples, which is the advised one."""
     advised, known = advice(correlations), _known(correlations)
     if advised is not None:
         return advised.name
@@ -208,13 +208,13 @@ def _main_predictor(correlations: pd.DataFrame) -> str:
 
 
 def _unjudged(claims: Sequence[Sheet]) -> int:
-    """How many claims there are, if none of them was judged; otherwise 0."""
+    """Return the number of claims if none was judged, otherwise 0."""
     held = claims[0].frame["held"] if claims else pd.Series(dtype=str)
     return len(held) if held.str.startswith("not judged").all() else 0
 
 
 def _out_of_time(records: Records) -> str:
-    """In how many scenes the stopwatch's time was over before the error asked for was reached."""
+    """Return the number of scenes whose time ran out before the requested error was reached."""
     told = []
     for lanes in LANES:
         timings = [record.timing[lanes.key] for record in records]
@@ -228,7 +228,7 @@ def _out_of_time(records: Records) -> str:
 
 
 def _options(records: Records) -> dict[str, Any]:
-    """The options that the scenes share, as the records hold them; those not in use are left out.
+    """Return the options that the scenes share, without unused ones.
 
     Of an experiment that other runs added the results count, and of viewpoints those that a scene
     has.
@@ -271,7 +271,7 @@ def _predictors(correlations: pd.DataFrame, named: bool) -> list[dict[str, str]]
 
 
 def _builders(records: Records) -> list[dict[str, str]]:
-    """Name, colour and gloss of each builder; those of the scene that has most come first."""
+    """Return name, colour and description of each builder, the scene with most trees first."""
     names = places_of(records)
     return [
         {
@@ -285,7 +285,7 @@ def _builders(records: Records) -> list[dict[str, str]]:
 
 
 def _gloss(name: str) -> str:
-    """What a builder does, and whose it is; empty for a tree that was given."""
+    """Return what a builder does and its source; empty for a given tree."""
     if builder_of(name) not in all_names():
         return ""
     one = get(builder_of(name))
@@ -318,7 +318,7 @@ def _scene(
 
 
 def _figures(record: SceneRecord) -> Iterator[tuple[str, str, Any]]:
-    """Yield the name of a figure's file, what is said below it, and the figure."""
+    """Yield the file name, caption and drawing of each figure."""
     for target in targets():
         yield target.figure, target.caption, predicted_measured(record, target)
     yield "depth", _CAPTIONS["depth"], plots.by_depth(record)
@@ -334,7 +334,7 @@ def _figures(record: SceneRecord) -> Iterator[tuple[str, str, Any]]:
 def _of_scene(
     record: SceneRecord, correlations: pd.DataFrame, main: str
 ) -> list[tuple[str, dict[str, str], str]]:
-    """Of each measurement: its name, r of three predictors, and how well it is known."""
+    """Return, for each measurement, its name, r of three predictors, and its error."""
     r = correlations.set_index(["measurement", "predictor"])["pearson"]
     names = dict.fromkeys(("SAH", "fitted", main))
     return [
@@ -354,7 +354,7 @@ def _r(value: float) -> str:
 
 
 def _thumbnail(png: str) -> str:
-    """A picture, base64-encoded, as a small JPEG; empty if there is none."""
+    """Return a picture as a small base64-encoded JPEG; empty if there is none."""
     if not png:
         return ""
     from PIL import Image

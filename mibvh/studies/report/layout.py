@@ -1,4 +1,4 @@
-"""What figures share: rows of panels, limits of axes, and the strip that names the builders."""
+"""Layout of figures: rows of panels, limits of axes, and the legend strip."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def places_of(records: Records) -> dict[str, int]:
 def row_of_panels(
     height: float = HEIGHT, strip: float = 0.0, panels: int = 2
 ) -> tuple[Drawing, list[Part]]:
-    """Return a drawing and its panels, in a row above a strip that only files have."""
+    """Return a drawing with a row of panels above a legend strip, which only files show."""
     sheet = Drawing(WIDTH * panels, height + strip)
     return sheet, [Part(i * WIDTH, 0.0, WIDTH, height) for i in range(panels)]
 
@@ -47,7 +47,7 @@ def limits_of(values: F64, margin: float = 0.06) -> tuple[float, float]:
 
 
 def legend(sheet: Drawing, names: Sequence[str], top: float, *, curves: bool) -> None:
-    """Name the builders in the strip below the panels, each by its curve or its point."""
+    """Draw the legend strip below the panels, with each builder's curve or point."""
     abreast = _abreast(sheet.width)
     column = sheet.width / abreast
     for i, name in enumerate(names):
@@ -65,7 +65,7 @@ def _abreast(width: float) -> int:
 
 
 def strip_height(names: Sequence[str], width: float = 2 * WIDTH) -> float:
-    """Return the height of the strip that names the builders."""
+    """Return the height of the legend strip."""
     return ROW * -(-len(names) // _abreast(width)) + 4
 
 

@@ -1,4 +1,4 @@
-"""Figures of where the cost of trees sits, and of experiments, panel by panel."""
+"""Figures of cost by depth, and of the experiments."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from mibvh.studies.report.layout import (
 
 
 def by_depth(record: SceneRecord) -> Drawing:
-    """Where in the tree the cost and the overlap sit: SAH and EPO by depth."""
+    """Draw SAH and EPO by depth."""
     sheet, parts = row_of_panels(180.0, strip_height(builders_of(record)))
     for part, name in zip(parts, ("sah", "epo"), strict=True):
         heading = quantities()[name].heading
@@ -44,7 +44,7 @@ def by_depth(record: SceneRecord) -> Drawing:
 
 
 def remaining(record: SceneRecord, found: DepthResult) -> Drawing:
-    """What a top-down sweep minimises: the worst-case cost that remains, by splits and by depth.
+    """Draw the remaining worst-case cost, which a top-down sweep minimises, by splits and depth.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def _curves(
 
 
 def rotation(factors: pd.DataFrame) -> Drawing:
-    """What rotating the scenes costs, counted, against what SAH and SAH with EPO predict.
+    """Draw counted against predicted factors of rotation, for SAH and for SAH with EPO.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def rotation(factors: pd.DataFrame) -> Drawing:
 
 
 def swept(sweep: Sweep) -> Drawing:
-    """Cost of a builder's trees against one of its options.
+    """Draw the cost of a builder's trees against one of its options.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Plots of trees of more children per node, and of kinds of rays: a panel for each."""
+"""Figures of wide trees and of kinds of rays, one panel each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mibvh.studies.report.layout import row_of_panels
 
 
 def at_widths(record: SceneRecord, found: WidthResult) -> Drawing:
-    """SAH with EPO against counted cost of a scene's trees, a panel per width.
+    """Draw SAH with EPO against counted cost of a scene's trees, one panel per width.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def at_widths(record: SceneRecord, found: WidthResult) -> Drawing:
 
 
 def side_by_side(record: SceneRecord, samples: Mapping[str, Sample]) -> Drawing:
-    """SAH with EPO against counted cost of a scene's trees, a panel per sample.
+    """Draw SAH with EPO against counted cost of a scene's trees, one panel per sample.
 
     Parameters
     ----------

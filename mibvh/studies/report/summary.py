@@ -1,4 +1,4 @@
-"""The figure of how well each predictor did: Pearson's r, a point per scene."""
+"""The figure of Pearson's r of each predictor, with one point per scene."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ACCENT = "#D55E00"
 
 
 def summary(table: pd.DataFrame, names: Sequence[str]) -> Drawing:
-    """Pearson's r of some predictors, a point per scene, with counted cost and scalar time.
+    """Draw Pearson's r of some predictors with counted cost and scalar time, one point per scene.
 
     The axis is logarithmic in 1 - r: most r are near 1, where a linear axis tells nothing apart.
 
@@ -73,7 +73,7 @@ def _mark(panel: Panel, limits: tuple[float, float]) -> None:
 
 
 def _short_of_one(r: F64) -> F64:
-    """1 - r, and a little where r is 1."""
+    """Return 1 - r, or a small value if r is 1."""
     return np.maximum(1 - r, _LEAST)
 
 

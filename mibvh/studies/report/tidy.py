@@ -1,4 +1,4 @@
-"""The study's tables as files: one tidy, one per tree, and those that people read."""
+"""The study's data files, and the tables for people as files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _USUAL = {
 
 
 def wide_table(records: Records) -> pd.DataFrame:
-    """One row per scene and tree."""
+    """Return a table with one row per scene and tree."""
     known = quantities()
     names = [quantity.name for quantity in known.values() if quantity.per_tree]
     recorded = {name for record in records for tree in record.trees for name in tree.values}
@@ -54,7 +54,7 @@ def wide_table(records: Records) -> pd.DataFrame:
 
 
 def tidy_table(records: Records) -> pd.DataFrame:
-    """One row per scene, tree and measurement, with what it was made with.
+    """Return a table with one row per scene, tree and measurement, and its provenance.
 
     Beside the trees as they are (``experiment`` is ``prediction``) there are the rows of all
     experiments: of the rotated scene (``rotation``: degrees about (1, 1, 1)), of other leaf sizes,
@@ -66,7 +66,7 @@ def tidy_table(records: Records) -> pd.DataFrame:
 
 
 def _of_scene(record: SceneRecord, known: dict[str, Quantity]) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a scene; what they share is made once, as there are thousands."""
+    """Yield the rows of a scene; shared values are computed once, because there are thousands."""
     common, rays = _common(record), _rays(record)
     for experiment in experiments():
         for tidy in experiment.shown("rows", record):
@@ -80,7 +80,7 @@ def _rows(
     common: dict[str, Any],
     rays: dict[str, int],
 ) -> Iterator[dict[str, Any]]:
-    """Yield a row of the file for each quantity; undeclared ones have their names alone."""
+    """Yield a row for each quantity; undeclared ones have no unit."""
     tree, of = record.trees[tidy.place], dict(tidy.of)
     # Trees of other programs have no options.
     max_leaf = of.pop("max_leaf", tree.options.get("max_leaf", -1))
@@ -106,7 +106,7 @@ def _text(values: Mapping[str, Any]) -> str:
 
 
 def _common(record: SceneRecord) -> dict[str, Any]:
-    """What all rows of a scene share."""
+    """Return the columns that all rows of a scene share."""
     machine = record.environment
     packages = machine["packages"]
     return {
@@ -124,7 +124,7 @@ def _common(record: SceneRecord) -> dict[str, Any]:
 
 
 def _rays(record: SceneRecord) -> dict[str, int]:
-    """Sizes of the populations of rays."""
+    """Return the sizes of the ray populations."""
     count = record.rays.count
     every = -(-count // LINES)
     return {

@@ -1,4 +1,4 @@
-"""The figure that answers first: the best tree of each scene, and where the others stand."""
+"""The first figure of the report: the best tree of each scene, and the others relative to it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _GREY = "#888888"
 
 
 def winners(records: Records) -> Drawing:
-    """Of each scene the winner, its lead and error, and where the other trees stand.
+    """Draw the winner of each scene, its lead and error, and the other trees.
 
     A row per scene: its name, who wins by counted cost and by scalar time, and a point per tree at
     its counted cost over the best. Trees that cost more than the line is long stand side by side
@@ -87,7 +87,7 @@ def _winner_row(
 
 
 def _along(over: float) -> float:
-    """Where a cost over the best stands on the line."""
+    """Return the position of a relative cost on the line."""
     return _BEGIN + over / _MOST * (_END - _BEGIN)
 
 
