@@ -23,11 +23,11 @@ class Segments:
         The camera that the ray's path began at; 0 where there is none.
     any_hit : bool
         Whether the first hit that is found ends a ray. Such segments are not cut.
+    reach : (R,) float64, optional
+        How far a ray looks for a hit, in lengths of its direction; by default for ever.
     direction : (R, 3) float, optional
         Where a ray goes; by default from its start to its end. Float32 rounds an end that is next
         to its start.
-    reach : (R,) float64, optional
-        How far a ray looks for a hit, in lengths of its direction; by default for ever.
 
     Raises
     ------
@@ -39,8 +39,8 @@ class Segments:
     end: F32
     viewpoint: I32
     any_hit: bool = False
-    direction: F32 | F64 | None = None
     reach: F64 | None = None
+    direction: F32 | F64 | None = None
 
     def __post_init__(self) -> None:
         if self.start.ndim != 2 or self.start.shape[1:] != (3,):

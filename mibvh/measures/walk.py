@@ -210,7 +210,7 @@ def cut_at_hits(
         t = np.where(np.isfinite(hit), hit, t)
     end = (o + along * t[:, None]).astype(np.float32)
     reach = t if any_hit else limit if np.isfinite(limit).any() else None
-    return Segments(o, end, viewpoint, any_hit, d[sound], reach)
+    return Segments(o, end, viewpoint, any_hit, reach, d[sound])
 
 
 def counted_cost(
