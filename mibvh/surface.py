@@ -10,14 +10,37 @@ from mibvh.triangles import F64, I32, Triangles
 
 
 def points_on(triangles: Triangles, ids: I32, seed: int = 0) -> F64:
-    """(P, 3) float64: a uniformly distributed random point on each of the given triangles."""
+    """Draw a uniformly distributed random point on each of the given triangles.
+
+    Parameters
+    ----------
+    triangles : Triangles
+    ids : (P,) int32
+    seed : int
+
+    Returns
+    -------
+    (P, 3) float64
+    """
     u, v = np.random.default_rng(seed).random((2, len(ids)))
     over = u + v > 1
     return barycentric(triangles, ids, np.where(over, 1 - u, u), np.where(over, 1 - v, v))
 
 
 def barycentric(triangles: Triangles, ids: I32, u: F64, v: F64) -> F64:
-    """(P, 3) float64: points of triangles; exactly in their plane where it is axis-aligned."""
+    """Points of triangles by barycentric coordinates; exact in axis-aligned planes.
+
+    Parameters
+    ----------
+    triangles : Triangles
+    ids : (P,) int32
+    u, v : (P,) float64
+        Weights of the second and third corner.
+
+    Returns
+    -------
+    (P, 3) float64
+    """
     a, b, c = np.moveaxis(triangles.corners[ids].astype(np.float64), 1, 0)
     return a + u[:, None] * (b - a) + v[:, None] * (c - a)
 

@@ -53,6 +53,19 @@ def test_the_defaults_of_a_command_are_those_of_its_function(command, function, 
     assert {name: told[name] for name in same} == {name: meant[name] for name in same}
 
 
+@pytest.mark.parametrize("option", ["--widths", "--width"])
+def test_a_study_takes_widths_by_either_name(cli, tmp_path, monkeypatch, option):
+    taken = []
+
+    def study(sources, output, *, options, **_):
+        taken.append(options)
+        raise mibvh.MibvhError("enough is known")
+
+    monkeypatch.setattr(mibvh, "study", study)
+    assert cli("study", "cornell@300", "-o", tmp_path, option, "2,8")[0] == 2
+    assert [options.widths for options in taken] == [(2, 8)]
+
+
 @pytest.mark.parametrize("command", ["import", "export"])
 def test_the_help_names_every_layout(cli, command):
     code, out, _ = cli(command, "--help")

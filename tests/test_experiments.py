@@ -22,6 +22,7 @@ from mibvh.studies.measure.depth import (
 )
 from mibvh.studies.measure.rotation import RotationResult
 from mibvh.studies.measure.sensitivity import SensitivityResult
+from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.times import times
 from mibvh.studies.paper.catalogue import (
     find_paper_scene,
@@ -107,6 +108,13 @@ def test_again_recomputes_nothing(full, cornell, monkeypatch):
 def test_progress_goes_forward_and_ends_at_one(full):
     assert full[3] == sorted(full[3])
     assert full[3][-1] == 1.0
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_an_experiment_may_ask_whether_its_rays_were_given(given):
+    setting = Setting(*[None] * 7, rays_given=given)
+    with pytest.warns(DeprecationWarning, match="own_rays is now rays_given"):
+        assert setting.own_rays is given
 
 
 # ------------------------------------------------------------------ rotation

@@ -118,7 +118,7 @@ def some_rays(count: int, wanted: int, seed: int = 0) -> np.ndarray:
 
 
 def check_brute_force(triangles: Triangles, rays: RaySet, hits: Hits, seed: int = 0) -> Check:
-    """Hold the hits of some rays against brute force over all triangles."""
+    """Compare the hits of some randomly chosen rays with brute force over all triangles."""
     wanted = int(np.clip(_BRUTE_FORCE / len(triangles), 4, _BRUTE_FORCE_RAYS))
     chosen = some_rays(len(rays), wanted, seed)
     wrong = wrong_hits(triangles, rays.select(chosen), hits.t[chosen], hits.triangle[chosen])
@@ -132,9 +132,9 @@ def check_brute_force(triangles: Triangles, rays: RaySet, hits: Hits, seed: int 
 
 
 def check_mitsuba(scene: Any, rays: RaySet, hits: Hits, seed: int = 0) -> Check:
-    """Hold the hits of some rays against Mitsuba's own intersection.
+    """Compare the hits of some randomly chosen rays with Mitsuba's own intersection.
 
-    Where the two differ, brute force says who is right.
+    Where the two differ, brute force decides which is right.
     """
     chosen = some_rays(len(rays), _MITSUBA_RAYS, seed)
     some = rays.select(chosen)
@@ -162,10 +162,10 @@ def check_mitsuba(scene: Any, rays: RaySet, hits: Hits, seed: int = 0) -> Check:
 def check_same_hits(
     triangles: Triangles, rays: RaySet, hits: Hits, others: Hits, name: str
 ) -> Check:
-    """Hold the hits of one tree, or of one way to trace it, against those of another.
+    """Compare the hits of one tree, or of one way to trace it, with those of another.
 
-    Rays that graze an edge may hit one of its triangles here and the other there: of those that
-    differ, the ones that brute force calls wrong count.
+    A ray that grazes an edge may hit either of its triangles. Of the hits that differ, only those
+    count that are wrong by brute force.
     """
     differ = np.flatnonzero(hits.t != others.t)
     some = differ[: max(int(_BRUTE_FORCE / len(triangles)), 4)]

@@ -98,7 +98,7 @@ def audit(
 def audit_figures(
     tree: Tree | WideTree, triangles: Triangles, sah: float, epo: float, seed: int = 0
 ) -> tuple[Check, ...]:
-    """Check the figures of a valid tree that take no rays."""
+    """Check the SAH and EPO of a valid tree."""
     return check_sah(tree, sah), check_epo(tree, triangles, epo, seed)
 
 

@@ -15,7 +15,7 @@ from typing import Any, cast
 
 from mibvh.errors import MibvhError, did_you_mean
 from mibvh.files import atomic_path, kind_of
-from mibvh.layouts.npz import Own
+from mibvh.layouts.npz import NativeLayout
 from mibvh.tree import Tree
 from mibvh.wide_tree import WideTree
 
@@ -57,7 +57,7 @@ class Layout:
     magic: bytes = b""
 
 
-def get(name: str) -> Layout | Own:
+def get(name: str) -> Layout | NativeLayout:
     """Look up a layout by name.
 
     Raises
@@ -71,7 +71,7 @@ def get(name: str) -> Layout | Own:
             f"{', '.join(LAYOUTS)}"
         )
     module, _, called = LAYOUTS[name].partition(":")
-    return cast(Layout | Own, getattr(importlib.import_module(module), called or "LAYOUT"))
+    return cast(Layout | NativeLayout, getattr(importlib.import_module(module), called or "LAYOUT"))
 
 
 def _layout_of(path: Path, layout: str | None) -> str:
@@ -107,7 +107,7 @@ def read_tree(
     path = Path(path)
     layout = _layout_of(path, layout)
     chosen = get(layout)
-    if isinstance(chosen, Own):
+    if isinstance(chosen, NativeLayout):
         if path.is_file() and not zipfile.is_zipfile(path):
             raise MibvhError(
                 f"{path}: no tree file of mibvh, or a damaged one; a tree of another program is "
@@ -175,7 +175,7 @@ def write_tree(
     layout = _layout_of(path, layout)
     chosen = get(layout)
     tree.check()
-    if isinstance(chosen, Own):
+    if isinstance(chosen, NativeLayout):
         tree.save(path)
         return
     width = tree.width if isinstance(tree, WideTree) else 2

@@ -6,11 +6,11 @@ import dataclasses
 
 
 @dataclasses.dataclass(frozen=True)
-class Own:
+class NativeLayout:
     """A layout that the trees read and write themselves, with a checksum."""
 
     summary: str
     magic: bytes = b"PK\x03\x04"  # a zip archive
 
 
-LAYOUT = Own("mibvh's own .npz")
+LAYOUT = NativeLayout("mibvh's own .npz")

@@ -79,29 +79,29 @@ class Study:
 
     @functools.cached_property
     def rotation(self) -> pd.DataFrame:
-        """By what rotating raises costs; see :mod:`mibvh.studies.analyse.rotation`."""
+        """Factors by which rotation changes costs; see :mod:`mibvh.studies.analyse.rotation`."""
         return rotation_factors(self.scenes)
 
     @functools.cached_property
     def sensitivity(self) -> pd.DataFrame:
-        """Other choices; see :mod:`mibvh.studies.analyse.sensitivity`."""
+        """Results with other choices; see :mod:`mibvh.studies.analyse.sensitivity`."""
         return sensitivity_table(self.scenes)
 
     @functools.cached_property
     def depth(self) -> pd.DataFrame:
-        """Where in the trees cost and overlap sit; see :mod:`mibvh.studies.analyse.depth`."""
+        """Cost and overlap at each depth; see :mod:`mibvh.studies.analyse.depth`."""
         return depth_table(self.scenes)
 
     @property
     def failures(self) -> list[tuple[str, str, Check]]:
-        """The scene, the tree and the check of every number that failed its audit."""
+        """Scene, tree and check of every failed audit."""
         from mibvh.studies.report.tables.audit import failures
 
         return failures(self.scenes)
 
     @functools.cached_property
     def missing(self) -> list[tuple[str, Missing]]:
-        """The scene and what is missing of it: the study goes on where the user's code fails."""
+        """Scene and missing result, for everything that failed without ending the study."""
         return missing(self.scenes)
 
     @property

@@ -36,10 +36,25 @@ def write_outputs(
     left_out: Mapping[str, str] | None = None,
     figures: Sequence[str] = (),
 ) -> None:
-    """Write the tables, the environment and the report of the scenes that are finished.
+    """Write the tables, the environment and the report of the finished scenes.
 
-    Tables and figures of an earlier run that are not among those of this one are removed.
-    Whatever the records say, nothing outside the folder is written or removed.
+    Tables and figures that only an earlier run wrote are removed. Whatever the records contain,
+    nothing outside the folder is written or removed.
+
+    Parameters
+    ----------
+    folder : Path
+        The study's folder.
+    records : sequence of SceneRecord
+    left_out : mapping of str to str, optional
+        Names of the scenes that could not be studied, and why.
+    figures : sequence of str
+        Further formats of the figures, ``pdf`` or ``png``, besides SVG.
+
+    Raises
+    ------
+    MibvhError
+        If a file cannot be written.
     """
     from mibvh.studies.analyse.correlations import correlations
     from mibvh.studies.record.sheet import literal
@@ -68,7 +83,7 @@ def write_outputs(
 
 
 def _written_before(store: Store) -> set[str]:
-    """The tables and figures of the run before; names of other files are nobody's of ours."""
+    """Return the tables and figures of the last run; names of any other files are ignored."""
     try:
         found = from_json(_Written, store.read(_WRITTEN) or {"files": []})
     except MibvhError:
@@ -77,21 +92,25 @@ def _written_before(store: Store) -> set[str]:
 
 
 def remake_report(folder: str | os.PathLike[str], figures: Sequence[str] = ()) -> Study:
-    """Write a study's tables and report anew, without measuring again.
+    """Write a study's tables and report again, without measuring.
 
-    The folder may be somebody else's: what stands in its records is taken for data.
+    The folder may come from somebody else: its records are treated as untrusted data.
 
     Parameters
     ----------
     folder : path
     figures : sequence of str
-        What figures are drawn as beside SVG: ``pdf``, ``png``.
+        Further formats of the figures, ``pdf`` or ``png``, besides SVG.
+
+    Returns
+    -------
+    Study
 
     Raises
     ------
     MibvhError
-        As of :func:`read_study`, or if the records make no sense, a study is at work in the
-        folder, it cannot be written, or there is no such form of figures.
+        As for :func:`read_study`, or if the records are inconsistent, a study is running in the
+        folder, the folder cannot be written, or a format is unknown.
     """
     from mibvh.studies.report.drawing import KINDS
 

@@ -159,7 +159,7 @@ def _kept_costs(setting: Setting, name: str, rays: RaySet, style: str) -> _Costs
 
 
 def packet_costs(tree: Tree, triangles: Triangles, rays: RaySet, style: str) -> _Costs:
-    """Simulate the packets of a style: what rays cost alone, and what the packets issue for each.
+    """Simulate the packets of a style: cost per ray in packets of one lane, and in full packets.
 
     Popped nodes are not re-tested in the simulation.
     """

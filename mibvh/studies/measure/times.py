@@ -27,13 +27,13 @@ from mibvh.variant import backend
 
 Lanes = Literal["scalar", "simd"]
 LANES: tuple[Lanes, ...] = ("scalar", "simd")
-#: Fewest rays of a portion that is timed: some hundredths of a second.
+#: Smallest number of rays in a timed portion, which takes some hundredths of a second.
 _PORTION = {"scalar": 8192, "simd": 32768}
 _MOST_PORTIONS = 8
-#: How often the rays of a small set may be repeated to fill a launch. A set that needs more tells
-#: how fast these few rays are, and not how fast the tree is. A GPU is not even full of such a set.
+#: How often the rays of a small set may be repeated to fill a launch. With more copies, the times
+#: would depend on these few rays more than on the tree, and a GPU would not be filled.
 _MOST_COPIES = {"llvm": 256, "cuda": 4096}
-#: Bytes of all records together from which on only what the rays read of them is in memory.
+#: If all records together have more bytes, only the pages that the rays read are kept in memory.
 LARGE = 1e9
 
 Launch = Callable[[int], LaunchSeconds]
@@ -46,10 +46,10 @@ class TreeTimes:
     Attributes
     ----------
     ns, error : list of float
-        Nanoseconds per ray of each tree, and their relative standard errors; NaN where the rays
+        Nanoseconds per ray of each tree, and their relative standard errors; NaN if the rays
         are too few to be timed.
     ns_by_clock : dict of str to list of float
-        The same by either clock of the stopwatch.
+        Nanoseconds per ray by each clock of the stopwatch.
     timing : Timing
     """
 
@@ -68,9 +68,9 @@ class Frame:
     scene : Scene
     rays : RaySet
     trees : mapping of str to Tree
-        Asked for one at a time.
+        Trees by name; accessed one at a time.
     names : sequence of str
-        Of the trees that are timed, in order.
+        Names of the trees to time, in order.
     """
 
     scene: Scene
@@ -90,9 +90,26 @@ def times(
 ) -> TreeTimes:
     """Time all trees of a scene, and the first and the last one twice to estimate errors.
 
-    Where two builders made one and the same tree, their difference is an error, too.
+    If two builders made identical trees, the difference of their times is an error, too.
+
+    Parameters
+    ----------
+    trees : mapping of str to Tree
+        Trees by name; accessed one at a time.
+    scene : Scene
+    rays : RaySet
+    lanes : "scalar" or "simd"
+    options : StudyOptions
+    report : Reporter
+    style : str
+        Style of traversal, from :data:`mibvh.traversal.styles.STYLES`.
+
+    Returns
+    -------
+    TreeTimes
+        In the order of ``trees``.
     """
-    # A tree's records are made anew for its second name: they lie elsewhere in memory.
+    # The second timing of a tree has its own records, which are elsewhere in memory.
     names = list(trees)
     frame = Frame(scene, rays, trees, [*names, names[0], names[-1]])
     count = len(trees)
@@ -139,14 +156,19 @@ def time_frames(
     Parameters
     ----------
     frames : sequence of Frame
-        With rays of one and the same number.
+        All with the same number of rays.
     lanes : "scalar" or "simd"
     options : StudyOptions
     report : Reporter
     same : sequence of pairs of int
-        Trees that are one and the same, counted through all frames.
+        Pairs of identical trees, as indices over the trees of all frames.
     style : str
-        Of traversal; from :data:`mibvh.traversal.styles.STYLES`.
+        Style of traversal, from :data:`mibvh.traversal.styles.STYLES`.
+
+    Returns
+    -------
+    TreeTimes
+        Of the trees of all frames, in order.
     """
     stage = f"time {lanes}" if style == "single" else f"time {style} {lanes}"
     report(stage, 0.0)

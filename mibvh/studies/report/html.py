@@ -7,6 +7,7 @@ was predicted, by what, where the cost sits; then the paper's claims, the scenes
 from __future__ import annotations
 
 import base64
+import dataclasses
 import functools
 import io
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,7 +31,7 @@ from mibvh.studies.measure.depth import DepthResult
 from mibvh.studies.record.claim import FEWEST_SCENES
 from mibvh.studies.record.experiment import experiments
 from mibvh.studies.record.quantities import targets
-from mibvh.studies.record.scene import Records, SceneRecord
+from mibvh.studies.record.scene import Records, SceneRecord, Timing
 from mibvh.studies.record.serialise import to_json
 from mibvh.studies.record.sheet import Sheet
 from mibvh.studies.report import plots
@@ -167,8 +168,57 @@ def write_report(
     return draw.written
 
 
+@dataclasses.dataclass(frozen=True)
+class _BuilderKey:
+    """An entry of the builders' legend."""
+
+    name: str
+    colour: str
+    icon: str
+    gloss: str
+
+
+@dataclasses.dataclass(frozen=True)
+class _PredictorCard:
+    """A predictor, with its r with counted cost and with scalar time, as text."""
+
+    name: str
+    formula: str
+    free: str
+    counted: str
+    timed: str
+
+
+@dataclasses.dataclass(frozen=True)
+class _ScenePart:
+    """The section of a scene.
+
+    Attributes
+    ----------
+    picture, thumbnail : str
+        A PNG and a JPEG, base64-encoded; empty if there is none.
+    r : list of tuple
+        Of each measurement its name, r by predictor, and its error.
+    figures : list of tuple
+        Of each figure its caption, and the SVG of its panels.
+    """
+
+    name: str
+    triangles: str
+    rays: str
+    viewpoints: int
+    notes: list[str]
+    over: str
+    picture: str
+    thumbnail: str
+    timing: dict[str, Timing]
+    sheets: list[Sheet]
+    r: list[tuple[str, dict[str, str], str]]
+    figures: list[tuple[str, list[str]]]
+
+
 class _Draw:
-    """Writes figures' files, and notes which."""
+    """Writes the files of figures, and records their names."""
 
     def __init__(self, folder: Path, kinds: Sequence[str]) -> None:
         self._folder, self._kinds = folder, kinds
@@ -214,7 +264,7 @@ def _unjudged(claims: Sequence[Sheet]) -> int:
 
 
 def _out_of_time(records: Records) -> str:
-    """Return the number of scenes whose time ran out before the requested error was reached."""
+    """Say in how many scenes the time ran out before the requested error was reached."""
     told = []
     for lanes in LANES:
         timings = [record.timing[lanes.key] for record in records]
@@ -249,8 +299,8 @@ def _options(records: Records) -> dict[str, Any]:
     return {name: text for name, text in told.items() if text and text != "None"}
 
 
-def _predictors(correlations: pd.DataFrame, named: bool) -> list[dict[str, str]]:
-    """Name, formula and r of the named predictors, or of the others."""
+def _predictors(correlations: pd.DataFrame, named: bool) -> list[_PredictorCard]:
+    """Return the cards of the named predictors, or of the others."""
     table = overview(correlations)
     several = correlations["scene"].nunique() > 1
     rows = []
@@ -259,28 +309,27 @@ def _predictors(correlations: pd.DataFrame, named: bool) -> list[dict[str, str]]
             continue
         r = [[table.loc[(t, one.name), c] for c in ("mean", "min")] for t in _FIRST_HELD]
         rows.append(
-            {
-                "name": one.name,
-                "formula": one.formula,
-                "free": {"0": "nothing fitted"}.get(one.free, f"fitted: {one.free}"),
-                "counted": _r(r[0][0]) + (f" ({_r(r[0][1])})" if several else ""),
-                "timed": _r(r[1][0]) + (f" ({_r(r[1][1])})" if several else ""),
-            }
+            _PredictorCard(
+                name=one.name,
+                formula=one.formula,
+                free="nothing fitted" if one.free == "0" else f"fitted: {one.free}",
+                counted=_r(r[0][0]) + (f" ({_r(r[0][1])})" if several else ""),
+                timed=_r(r[1][0]) + (f" ({_r(r[1][1])})" if several else ""),
+            )
         )
     return rows
 
 
-def _builders(records: Records) -> list[dict[str, str]]:
-    """Return name, colour and description of each builder, the scene with most trees first."""
-    names = places_of(records)
+def _builders(records: Records) -> list[_BuilderKey]:
+    """Return the entries of the builders' legend, in the order of the scene with most trees."""
     return [
-        {
-            "name": name,
-            "colour": builder_colour(i),
-            "icon": icon(builder_shape(i), builder_colour(i)),
-            "gloss": _gloss(name),
-        }
-        for name, i in names.items()
+        _BuilderKey(
+            name=name,
+            colour=builder_colour(i),
+            icon=icon(builder_shape(i), builder_colour(i)),
+            gloss=_gloss(name),
+        )
+        for name, i in places_of(records).items()
     ]
 
 
@@ -295,26 +344,26 @@ def _gloss(name: str) -> str:
 
 def _scene(
     draw: _Draw, record: SceneRecord, correlations: pd.DataFrame, sheets: list[Sheet], main: str
-) -> dict[str, Any]:
+) -> _ScenePart:
     name = record.scene
     over = f" Over {record.over}." if record.over else ""
-    return {
-        "name": name,
-        "triangles": f"{record.triangles:,}",
-        "rays": f"{record.rays.count:,}",
-        "viewpoints": record.rays.viewpoints,
-        "notes": record.notes,
-        "over": record.over,
-        "picture": record.picture,
-        "thumbnail": _thumbnail(record.picture),
-        "timing": record.timing,
-        "sheets": sheets,
-        "r": _of_scene(record, correlations[correlations["scene"] == name], main),
-        "figures": [
+    return _ScenePart(
+        name=name,
+        triangles=f"{record.triangles:,}",
+        rays=f"{record.rays.count:,}",
+        viewpoints=record.rays.viewpoints,
+        notes=record.notes,
+        over=record.over,
+        picture=record.picture,
+        thumbnail=_thumbnail(record.picture),
+        timing=record.timing,
+        sheets=sheets,
+        r=_of_scene(record, correlations[correlations["scene"] == name], main),
+        figures=[
             (f"{caption}{over}", draw(f"{name}-{key}", figure))
             for key, caption, figure in _figures(record)
         ],
-    }
+    )
 
 
 def _figures(record: SceneRecord) -> Iterator[tuple[str, str, Any]]:
