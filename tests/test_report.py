@@ -29,6 +29,7 @@ from mibvh.studies.analyse.winners import (
     wins,
     wins_in_time,
 )
+from mibvh.studies.outputs import remake_report
 from mibvh.studies.record.sheet import Column, Sheet
 from mibvh.studies.report import tidy
 from mibvh.studies.report.agreement import limits_beside, multiples, scatter, together
@@ -39,7 +40,6 @@ from mibvh.studies.report.plots import by_depth
 from mibvh.studies.report.tables import answers
 from mibvh.studies.report.tables.prediction import NAMED, by_traversal, times_known
 from mibvh.studies.report.winners import winners
-from mibvh.studies.run import remake_report
 
 SHEET = Sheet(
     name="costs",

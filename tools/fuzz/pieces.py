@@ -18,7 +18,7 @@ import numpy as np
 
 import mibvh
 from mibvh.studies.measure.store import Store
-from mibvh.studies.run import remake_report
+from mibvh.studies.outputs import remake_report
 from tools.fuzz.mutate import VALUES, Random, damaged
 
 CHOICES: Any = {

@@ -19,10 +19,10 @@ from mibvh.files import write_text
 from mibvh.scene import scene_name
 from mibvh.studies import PROFILES, StudyOptions, study
 from mibvh.studies.analyse.correlations import correlations
+from mibvh.studies.outputs import remake_report, write_outputs
 from mibvh.studies.record.scene import SceneRecord
 from mibvh.studies.report.tables import answers
 from mibvh.studies.report.tables.audit import failures
-from mibvh.studies.run import remake_report, write_outputs
 from tools.results import blocks, quoted, rotation_figure
 from tools.results.pages import write_pages
 from tools.results.study import records_of, run, scenes_of
