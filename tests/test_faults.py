@@ -19,6 +19,8 @@ from mibvh.heartbeat import Heartbeat, Pulse
 from mibvh.studies.lock import alone_in
 
 COMMAND = [sys.executable, "-m", "mibvh"]
+#: A process whose files are limited cannot write what it covered.
+UNCOVERED = {name: v for name, v in os.environ.items() if not name.startswith("COVERAGE_")}
 
 
 def mibvh_command(*arguments, most_bytes=None, **options):
@@ -33,7 +35,7 @@ def mibvh_command(*arguments, most_bytes=None, **options):
         capture_output=True,
         text=True,
         preexec_fn=limit,
-        env={**os.environ, **options},
+        env={**(os.environ if most_bytes is None else UNCOVERED), **options},
         check=False,
         timeout=300,
     )
@@ -126,6 +128,7 @@ def test_standard_output_may_be_full(command, tmp_path):
             stderr=subprocess.PIPE,
             text=True,
             check=False,
+            env=UNCOVERED,
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)),
         )
     assert ended.returncode == 2
