@@ -11,7 +11,7 @@ import trimesh
 import mibvh
 import mibvh.mitsuba
 from mibvh.cli import main
-from mibvh.mitsuba import image_channels
+from mibvh.mitsuba import Accelerator, image_channels
 from mibvh.variant import mitsuba
 
 mi = mitsuba()
@@ -78,6 +78,16 @@ def test_a_file_written_anew_is_read_anew(scene, tmp_path):
         mibvh.build(loaded, builder).save(tmp_path / "tree.npz")
         costs.append(np.array(mi.render(scene, integrator=integrator, spp=1))[..., 0].mean())
     assert costs[1] < costs[0]
+
+
+def test_rays_written_anew_build_anew(scene, tmp_path):
+    """The file that an option names counts, as in a study."""
+    loaded, digests = mibvh.load(SIZE), []
+    for seed in (1, 2):
+        rays = mibvh.diffuse_rays(loaded, width=24, height=18, seed=seed)
+        rays.save(tmp_path / "rays.npz")
+        digests.append(Accelerator(scene, "finite", rays=str(tmp_path / "rays.npz")).tree.digest)
+    assert digests[0] != digests[1]
 
 
 SCENE = """<scene version="3.0.0">

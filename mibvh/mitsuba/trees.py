@@ -60,7 +60,9 @@ class Builder:
         """
         seen_from = cameras(scene) if isinstance(scene, Scene) and self.asks_scene else []
         # A user's own builder may be registered anew under its name.
-        depends = (self, get(self.name).function, str(seen_from))
+        # A file that an option names may be written anew.
+        written = tuple(_changed(value) for _, value in self.options if isinstance(value, str))
+        depends = (self, get(self.name).function, str(seen_from), written)
         return _kept(
             depends,
             lambda: build(scene, self.name, progress=progress, **dict(self.options)),
