@@ -45,6 +45,10 @@ NO_OPTIX = (
     "picture, rays have to be given, and hits are not compared with Mitsuba's"
 )
 
+#: Of scenes with more triangles, Mitsuba's own copy is loaded only where it is needed: it takes 170
+#: bytes a triangle, of which its tree is most.
+LARGE = 2_000_000
+
 
 @dataclasses.dataclass(eq=False)
 class Scene:
@@ -58,8 +62,8 @@ class Scene:
     sensors : list of mitsuba.Sensor
         The scene file's cameras, or automatic ones where it has none; empty on a GPU without OptiX.
     original : mitsuba.Scene or None
-        The scene as Mitsuba loads it; None for a bare mesh, and where instances are flattened:
-        see :attr:`renderable`.
+        The scene as Mitsuba loads it; None for a bare mesh, where instances are flattened, and
+        above :data:`LARGE`: see :attr:`renderable`.
     notes : list of str
         What could not be taken over as triangles, in sentences.
     reload : callable, optional
@@ -86,6 +90,12 @@ class Scene:
     def renderable(self) -> Any:
         """The scene as Mitsuba renders it, instances included; None for a bare mesh."""
         return self.reload() if self.reload else self.original
+
+    def release(self) -> None:
+        """Release what Mitsuba holds of the scene; it is made again where it is needed."""
+        vars(self).pop("geometry", None)
+        if self.reload:
+            vars(self).pop("renderable", None)
 
     def few_rays(self, count: int, seed: int, kind: str = "diffuse") -> Any:
         """Path-trace rays of a kind from about so many camera rays, as many for each viewpoint.
@@ -296,8 +306,9 @@ def _from_parsed(name: str, parse: Callable[..., Parsed], where: str) -> Scene:
         return _with_viewpoints(found)
     parsed = parse(flatten=True)
     found = _with_viewpoints(_from_shapes(name, parsed, where))
-    if parsed.instances:
+    if parsed.instances or len(found.triangles) > LARGE:
         found.reload = lambda: parse(flatten=False).scene
+        found.original = None
     return found
 
 

@@ -7,6 +7,7 @@ import trimesh
 from conftest import closed_box
 
 import mibvh
+from mibvh import scene as scenes
 from mibvh.variant import mitsuba
 
 CAMERA = """<sensor type="perspective"><transform name="to_world">
@@ -40,6 +41,32 @@ def test_instances_are_flattened_and_transformed(tmp_path):
     # Cubes of side 2 (area 24) and 4 (96), and 2 (4) and 4 (16) wide squares.
     assert scene.triangles.areas.sum() == pytest.approx(24 + 24 + 96 + 4 + 16, rel=1e-5)
     assert len(scene.sensors) == 1
+
+
+def test_of_a_large_scene_mitsubas_copies_come_and_go(tmp_path, monkeypatch):
+    """Its cameras, lights and hits stay the same."""
+    body = (
+        '<shape type="cube"/><shape type="rectangle"/>'
+        '<emitter type="point"><point name="position" x="1" y="4" z="-8"/></emitter>'
+    )
+    path = xml(tmp_path, body)
+    kept = mibvh.load(path)
+    monkeypatch.setattr(scenes, "LARGE", 13)
+    scene = mibvh.load(path)
+    assert kept.original is not None
+    assert scene.original is None
+    assert scene.triangles.digest == kept.triangles.digest
+    rays = []
+    for _ in range(2):
+        assert len(scene.renderable.emitters()) == 1
+        assert scene.geometry is scene.geometry
+        rays.append([mibvh.make_rays(scene, k, width=9, height=6) for k in ("diffuse", "shadow")])
+        scene.release()
+        assert not {"geometry", "renderable"} & set(vars(scene))
+    expected = [mibvh.make_rays(kept, kind, width=9, height=6) for kind in ("diffuse", "shadow")]
+    assert len(expected[1]) > 0
+    for made in rays:
+        assert [found.digest for found in made] == [found.digest for found in expected]
 
 
 def test_analytic_shapes_are_tessellated_and_others_named(tmp_path):

@@ -14,7 +14,9 @@ from test_split_trees_traced import rays_through
 
 import mibvh
 from mibvh import memory
+from mibvh import scene as scenes
 from mibvh.builders import sharing
+from mibvh.studies.measure import memory as measured_memory
 from mibvh.studies.measure import shelf as shelves
 from mibvh.studies.measure import times
 from mibvh.studies.measure.given import Given
@@ -22,7 +24,8 @@ from mibvh.studies.measure.memory import predicted_memory
 from mibvh.studies.measure.shelf import Shelf
 from mibvh.studies.measure.trees import sources_of
 from mibvh.studies.record.options import StudyOptions
-from mibvh.traversal.records import ROW, make_records, unit_scale
+from mibvh.traversal.pages import ROW
+from mibvh.traversal.records import make_records, unit_scale
 from mibvh.traversal.trace import Tracer
 from mibvh.traversal.trimmed import trimmed
 
@@ -118,11 +121,13 @@ def study(folder, progress=None):
 
 
 def test_a_study_without_room_finds_the_same(tmp_path, monkeypatch):
-    """Trees, drafts and records in files or in part."""
+    """Trees, drafts and records in files or in part; Mitsuba's scenes made anew."""
     expected = study(tmp_path / "all")
     monkeypatch.setattr(shelves, "ROOM", 0.0)
     monkeypatch.setattr(times, "LARGE", 0.0)
     monkeypatch.setattr(sharing, "LARGE", 0.0)
+    monkeypatch.setattr(scenes, "LARGE", 0)
+    monkeypatch.setattr(measured_memory, "LARGE", 0)
     alive, most, alone = weakref.WeakSet(), [], []
     put = Shelf.put
 

@@ -8,7 +8,8 @@ from mibvh.measures import Area, Flux
 from mibvh.measures.nodes import node_measures
 from mibvh.measures.walk import cut_at_hits
 from mibvh.metrics.sah import node_costs
-from mibvh.traversal.records import ROW, make_records, unit_scale
+from mibvh.traversal.pages import ROW
+from mibvh.traversal.records import make_records, unit_scale
 from mibvh.traversal.schedule import Schedule, issued_by_bursts
 from mibvh.traversal.wide_rows import LARGEST, SPAN, as_wide, wide_rows
 from mibvh.traversal.wide_walk import node_visits, walk_wide_tree

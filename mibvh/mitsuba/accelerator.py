@@ -12,7 +12,7 @@ from mibvh.mitsuba.trees import Builder, TreeFile
 from mibvh.rays.origins import clear_origin, onto_plane
 from mibvh.scene import mesh_corners, shape_key, shape_kind, with_cameras_of
 from mibvh.traversal.kernel import walk
-from mibvh.traversal.records import ROW, own_memory
+from mibvh.traversal.pages import ROW, own_memory
 from mibvh.traversal.wide import walk_wide_lanes
 from mibvh.tree import Tree
 from mibvh.triangles import F32, Triangles

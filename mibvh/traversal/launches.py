@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from mibvh.traversal.kernel_rays import KernelRays
-from mibvh.traversal.records import Records, own_memory
+from mibvh.traversal.pages import own_memory
+from mibvh.traversal.records import Records
 from mibvh.traversal.schedule import Schedule, issued_by_bursts, issued_in_step
 from mibvh.traversal.visits import Visits
 from mibvh.triangles import I32

@@ -5,17 +5,22 @@ line; one row of 16 floats per reference holds its triangle, in leaf order. Both
 buffer, so that a step fetches its row before it asks of which kind it is. Coordinates are
 scaled by a power of two to an extent near 1: products neither overflow nor underflow in
 float32, and scaling back is exact.
+
+A row of an inner node: left lower, left upper, right lower, right upper, two child codes, two
+spare. Of a triangle, one per reference: three corners, normal, id, 1 for the last of its leaf, two
+spare. A child code is the row of an inner node, or, complemented, that of the first triangle of a
+leaf.
 """
 
 from __future__ import annotations
 
-import mmap
 from typing import Any, Literal
 
 import numpy as np
 
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
+from mibvh.traversal.pages import ROW, in_place, own_memory, pages_of
 from mibvh.traversal.wide_rows import as_wide, wide_rows
 from mibvh.tree import MAX_DEPTH, Tree
 from mibvh.triangles import F32, Triangles, as_triangles
@@ -24,11 +29,6 @@ from mibvh.wide_tree import WideTree
 
 Layout = Literal["binary", "wide"]
 
-#: Floats per row. An inner node: left lower, left upper, right lower, right upper, two child
-#: codes, two spare. A triangle, one per reference: three corners, normal, id, 1 for the last of
-#: its leaf, two spare. A child code is the row of an inner node, or, complemented, that of the
-#: first triangle of a leaf.
-ROW = 16
 #: The code of "nothing left to do".
 DONE = -(2**31)
 
@@ -183,7 +183,7 @@ def _wide_records(wide: WideTree, triangles: Triangles, scale: np.float32) -> Re
         import drjit as dr
 
         ordered = dr.reinterpret_array(mitsuba().UInt32, own_memory(order.view(np.float32)))
-    return Records(own_memory(rows), root, float(scale), "wide", wide, ordered)
+    return Records(in_place(rows), root, float(scale), "wide", wide, ordered)
 
 
 def binary_rows(tree: Tree, triangles: Triangles) -> tuple[F32, int]:
@@ -226,35 +226,3 @@ def unit_scale(triangles: Triangles) -> np.float32:
     """Power of two that brings the largest coordinate to between 1/2 and 1."""
     largest = float(np.abs(triangles.bounds).max())
     return np.float32(2.0 ** -np.frexp(largest)[1] if largest > 0 else 1.0)
-
-
-def pages_of(rows: int) -> F32:
-    """(rows, 16) float32 zeros at the beginning of a page; pages take memory when written to."""
-    memory = mmap.mmap(-1, max(rows, 1) * ROW * 4)
-    return np.frombuffer(memory, np.float32, rows * ROW).reshape(rows, ROW)
-
-
-def in_place(rows: F32) -> Any:
-    """Rows of :func:`pages_of` as a Dr.Jit array: on a processor the same memory, which it reads.
-
-    At the beginning of a page it is aligned, as Dr.Jit's own is (see :func:`own_memory`).
-    """
-    import drjit as dr
-
-    found = mitsuba().Float(rows.ravel())
-    dr.eval(found)
-    return found
-
-
-def own_memory(array: F32) -> Any:
-    """Copy into Dr.Jit's own memory.
-
-    Of NumPy's it does not know the alignment, and gathers from it element by element.
-    """
-    import drjit as dr
-
-    mi = mitsuba()
-    bits = mi.UInt32(np.ascontiguousarray(array).view(np.uint32).ravel())
-    copy = dr.reinterpret_array(mi.Float, bits + dr.opaque(mi.UInt32, 0))
-    dr.eval(copy)
-    return copy

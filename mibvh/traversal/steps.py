@@ -12,7 +12,8 @@ from typing import Any
 import drjit as dr
 
 from mibvh.traversal.geometry import slabs, smaller, triangle_hit
-from mibvh.traversal.records import DONE, ROW, Records
+from mibvh.traversal.pages import ROW
+from mibvh.traversal.records import DONE, Records
 from mibvh.tree import MAX_DEPTH
 from mibvh.variant import mitsuba
 

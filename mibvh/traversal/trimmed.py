@@ -13,7 +13,8 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
-from mibvh.traversal.records import ROW, Records, in_place, pages_of
+from mibvh.traversal.pages import ROW, in_place, pages_of
+from mibvh.traversal.records import Records
 from mibvh.traversal.trace import Tracer
 from mibvh.variant import mitsuba
 

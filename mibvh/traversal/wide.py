@@ -22,7 +22,8 @@ from typing import Any
 import drjit as dr
 
 from mibvh.traversal.geometry import inverse, larger, slabs_of, smaller, triangle_hit
-from mibvh.traversal.records import ROW, Records
+from mibvh.traversal.pages import ROW
+from mibvh.traversal.records import Records
 from mibvh.traversal.wide_rows import BASE_BITS, ENTRY, LARGEST, NETWORKS, SPAN
 from mibvh.tree import MAX_DEPTH
 from mibvh.variant import mitsuba

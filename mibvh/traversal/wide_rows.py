@@ -29,6 +29,7 @@ from mibvh.collapsing import collapse, unfold
 from mibvh.errors import MibvhError
 from mibvh.measures.area import Measure
 from mibvh.quantise import finest_step, grid, quantised
+from mibvh.traversal.pages import pages_of
 from mibvh.tree import Tree
 from mibvh.triangles import F32, Triangles
 from mibvh.wide_tree import WideTree
@@ -84,6 +85,7 @@ def wide_rows(tree: WideTree, shapes: F32, scale: np.float32) -> tuple[F32, U32,
     Returns
     -------
     rows : (K, 16) float32
+        At the beginning of a page.
     order : (K,) uint32
         The order of each node's children.
     root : int
@@ -95,7 +97,9 @@ def wide_rows(tree: WideTree, shapes: F32, scale: np.float32) -> tuple[F32, U32,
         If the tree's boxes reach so far beyond its triangles that no grid holds them.
     """
     span = 1 if tree.quantised else SPAN[tree.width]
-    rows, order, ok = _emit(
+    inners = int(np.count_nonzero(tree.child >= 0))
+    rows = pages_of(len(shapes) + span * inners)
+    order, ok = _emit(
         tree.lower * scale,
         tree.upper * scale,
         tree.child,
@@ -106,6 +110,7 @@ def wide_rows(tree: WideTree, shapes: F32, scale: np.float32) -> tuple[F32, U32,
         tree.quantised,
         span,
         shapes,
+        rows,
     )
     if not ok:
         raise MibvhError("the wide tree's 8-bit boxes are too large or too fine for its triangles")
@@ -113,12 +118,8 @@ def wide_rows(tree: WideTree, shapes: F32, scale: np.float32) -> tuple[F32, U32,
 
 
 @njit
-def _emit(lower, upper, child, children, first, count, width, small, span, shapes):
-    """Rows, depth first; orders; and whether all boxes found a place on a grid."""
-    inners = 0
-    for n in range(len(child)):
-        inners += child[n] >= 0
-    rows = np.zeros((len(shapes) + span * inners, 16), np.float32)
+def _emit(lower, upper, child, children, first, count, width, small, span, shapes, rows):
+    """Write rows that were zero, depth first; return orders, and whether all boxes fit grids."""
     order = np.zeros(len(rows), np.uint32)
     finest = finest_step(lower[0], upper[0])
     stack = np.empty((len(child) + 1, 2), np.int64)  # node, row
@@ -163,7 +164,7 @@ def _emit(lower, upper, child, children, first, count, width, small, span, shape
             stack[top, 0], stack[top, 1] = child[node] + i, at
             top += 1
         end += children[node] + (span - 1) * inner
-    return rows, order, ok
+    return order, ok
 
 
 @njit

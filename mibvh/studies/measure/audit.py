@@ -10,7 +10,7 @@ from mibvh.audit.run import audit_figures, audit_hits, check_tree
 from mibvh.studies.measure.counts import RayCounter
 from mibvh.traversal.trace import Hits, release_records
 from mibvh.tree import Tree
-from mibvh.variant import backend
+from mibvh.variant import backend, release_memory
 from mibvh.wide_tree import WideTree
 
 
@@ -54,6 +54,7 @@ class Auditor:
         warps = [] if isinstance(tree, WideTree) else self._warps(tree, hits, values)
         found = Checks([sound, *figures, *traced, *warps])
         release_records()  # the next tree is another
+        release_memory()
         return found
 
     def _warps(self, tree: Tree, hits: Hits, values: dict[str, float]) -> Iterator[Check]:

@@ -9,11 +9,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from mibvh.builders import get
 from mibvh.memory import BYTES, peak_memory, require_memory, require_references, reset_peak
 from mibvh.rays.make import ray_memory
-from mibvh.scene import Scene
+from mibvh.scene import LARGE, Scene
 from mibvh.studies.measure import shelf, times
 from mibvh.studies.measure.given import Given
 from mibvh.studies.measure.trees import TreeSource
 from mibvh.studies.record.options import StudyOptions
+from mibvh.variant import release_memory
 
 #: Share of large records that the rays read: .55 to .8 of three scenes with one ray for ten to
 #: fifty triangles.
@@ -104,6 +105,17 @@ def check_memory(scene: Scene, stages: Mapping[str, float]) -> float:
         f"{len(scene.triangles):,} triangles of {scene.name}, in the study's stage {stage},",
     )
     return stages[stage]
+
+
+def make_room(scene: Scene) -> None:
+    """Release to the system what is cached of a scene, before something else needs the memory.
+
+    Of a small scene, Mitsuba's copies stay: to make them again would take longer than they are
+    worth.
+    """
+    if len(scene.triangles) > LARGE:
+        scene.release()
+    release_memory()
 
 
 class Peaks:

@@ -15,6 +15,7 @@ import math
 from mibvh.rays import RaySet
 from mibvh.scene import Scene
 from mibvh.studies.measure.counts import RayCounter
+from mibvh.studies.measure.memory import make_room
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import key_of
 from mibvh.studies.measure.times import Frame, TreeTimes, time_frames
@@ -116,6 +117,8 @@ def rotation_experiment(setting: Setting, report: Reporter) -> RotationResult:
     times_key = key_of(
         __name__, **keys, machine=setting.machine, options=options.stopwatch("scalar")
     )
+    make_room(setting.scene)
+    make_room(scene)
     # Both frames in the same rounds, so that drift cancels in the factors.
     make_times = functools.partial(
         time_frames, [before, after], "scalar", options, report.part(0.6, 0.4)

@@ -16,7 +16,7 @@ from mibvh.scene import Scene
 from mibvh.studies.measure.cameras import cameras
 from mibvh.studies.measure.counts import RayCounter
 from mibvh.studies.measure.given import Given
-from mibvh.studies.measure.memory import Peaks, check_memory, predicted_memory
+from mibvh.studies.measure.memory import Peaks, check_memory, make_room, predicted_memory
 from mibvh.studies.measure.scene_digest import scene_digest
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import Store, key_of
@@ -27,7 +27,6 @@ from mibvh.studies.record.experiment import Experiment, chosen
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.progress import Listener, Progress, Reporter
 from mibvh.studies.record.scene import RayFacts, SceneRecord, Timing, TreeRow
-from mibvh.variant import release_memory
 
 #: Stage of the report's table of seconds, by the first word of the pieces' names.
 _STAGES = {
@@ -94,7 +93,7 @@ def study_scene(
     results = {}
     for experiment in asked:
         # The last step held the records of all trees in memory; the next needs one at a time.
-        release_memory()
+        make_room(scene)
         store.begin()
         part = reporter.of(experiment.name, *shares[experiment.name])
         if experiment.measure is not None:
@@ -138,7 +137,7 @@ def _predict(
     if not rows:
         reasons = "; ".join(dict.fromkeys(one.why for one in report.found_missing))
         raise MibvhError(f"{scene.name}: there is no tree ({reasons})")
-    release_memory()
+    make_room(scene)
     sources = {name: sources[name] for name in trees}
     setting = Setting(scene, rays, trees, options, machine, store, sources, given.rays is not None)
     with peaks.of("stopwatch"):
