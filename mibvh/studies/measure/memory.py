@@ -16,9 +16,12 @@ from mibvh.studies.measure.trees import TreeSource
 from mibvh.studies.record.options import StudyOptions
 from mibvh.variant import release_memory
 
-#: Share of large records that the rays read: .55 to .8 of three scenes with one ray for ten to
-#: fifty triangles.
-_READ = 0.75
+#: Of large records, the share of the pages that rays read, with one ray for each page; with other
+#: numbers of rays it goes by this power of theirs, up to the most. Measured with 0.02 to 40 rays a
+#: page: San Miguel has 0.3 to 0.8 times this, Sahyadri Jungle and San Francisco 0.75 to 1.05 times,
+#: Dragon, of which rays see all, 1 to 1.5 times.
+_READ, _POWER, _MOST = 0.55, 0.28, 0.9
+_PAGE = 4096
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,19 +67,26 @@ def predicted_memory(
     needs = {
         "rays": 0.0 if given.rays is not None else ray_memory(primary, options.bounces - 1),
         "trees": held + work,
-        "stopwatch": held + whole + _records([*references, references[0], references[-1]]) + traced,
+        "stopwatch": held
+        + whole
+        + _records([*references, references[0], references[-1]], count)
+        + traced,
     }
     if "rotation" in options.experiments:
         turned = BYTES["turned"] * len(scene.triangles)
-        timed = whole + _records([*references, *references]) + 2 * traced
+        slow = min(count, options.scalar_rays)
+        timed = whole + _records([*references, *references], slow) + 2 * traced
         needs["rotation"] = 2 * held + turned + max(work, timed)
     return needs
 
 
-def _records(references: Sequence[float]) -> float:
+def _records(references: Sequence[float], rays: int) -> float:
     """Bytes of the records of trees that are timed in turn, which are all in memory at once."""
     needed = BYTES["records"] * sum(references)
-    return needed if needed <= times.LARGE else _READ * needed
+    if needed <= times.LARGE:
+        return needed
+    pages = needed / len(references) / _PAGE
+    return needed * min(_MOST, _READ * (rays / pages) ** _POWER)
 
 
 def _of_tree(source: TreeSource, scene: Scene) -> _TreeNeeds:
