@@ -288,6 +288,25 @@ def test_leaf_sizes_and_bounces_against_the_library(full, cornell):
             assert entry.cost == pytest.approx(hits.counted_cost(), rel=1e-9)
 
 
+def test_the_builder_s_own_leaf_size_is_its_own_tree(tmp_path):
+    """Those too whose triangles are split beforehand, or whose leaves go by another measure."""
+    study = mibvh.study(
+        ["cornell@1000"],
+        tmp_path,
+        builders="sbvh,bbvh(presplit=0.3),finite",
+        experiments="sensitivity",
+        width=12,
+        height=8,
+        seconds=1e-3,
+    )
+    for tree, sizes in zip(
+        study.scenes[0].trees, study.scenes[0].result(SensitivityResult).leaf_sizes, strict=True
+    ):
+        own = next(size.values for size in sizes if size.max_leaf == 8)
+        for name in ("sah", "epo", "mean_leaf_size", "counted_cost"):
+            assert own[name] == pytest.approx(tree[name], rel=1e-9), (tree.builder, name)
+
+
 def test_tidy_rows_say_what_they_are_of(full):
     table = tidy_table(full[2].scenes)
     record = full[2].scenes[0]
@@ -300,7 +319,8 @@ def test_tidy_rows_say_what_they_are_of(full):
     deep = table.query("bounce == 3 and builder == 'lbvh'")
     assert len(deep) == record.rays.viewpoints
     assert (deep["measurement"] == "counted_cost").all()
-    assert json.loads(sizes["builder_options"].iloc[0])["max_leaf"] == 1
+    # The leaves are collapsed to that size; the builder ran with its own.
+    assert json.loads(sizes["builder_options"].iloc[0])["max_leaf"] == 8
     assert turned["digest"].tolist() == [record.result(RotationResult).digest] != [record.digest]
     assert set(table.query("measurement == 'scalar_ns'")["rays"]) <= set(range(1, 257))
     assert plain["rays"].tolist() == [0, 0, 0]

@@ -376,6 +376,22 @@ def test_a_chain_of_includes_is_said_once(tmp_path):
         mibvh.load(write(tmp_path, '<include filename="b.xml"/>'))
 
 
+def test_files_of_a_scene_are_those_beside_it(tmp_path, monkeypatch):
+    """The working folder may hold others of the same names, whose geometry would be studied."""
+    (tmp_path / "scene").mkdir()
+    corners = np.eye(3, dtype=np.float32)[None]
+    for folder, height in ((tmp_path / "scene", 0.0), (tmp_path, 7.0)):
+        faces = (f"v {x} {y} {z + height}\n" for x, y, z in corners[0])
+        (folder / "mesh.obj").write_text("".join(faces) + "f 1 2 3\n")
+    path = write(
+        tmp_path / "scene",
+        '<shape type="obj"><string name="filename" value="mesh.obj"/></shape>',
+    )
+    monkeypatch.chdir(tmp_path)
+    for name in (path, path.relative_to(tmp_path)):
+        assert np.array_equal(mibvh.load(name).triangles.corners, corners)
+
+
 def test_a_shape_of_no_numbers_is_named(tmp_path):
     ends = '<point name="p0" value="1, 2, 3"/><point name="p1" value="1, 2, 3"/>'
     body = CUBE + f'<shape type="cylinder" id="pin">{ends}</shape>'

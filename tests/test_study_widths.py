@@ -1,6 +1,8 @@
 """Studies by children per node and by kinds of rays, held against the library's own functions."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from mibvh.metrics.occlusion import saved_by_any_hit
 from mibvh.metrics.points import point_costs, ray_starts
 from mibvh.studies.analyse.kinds import MIXED, kind_correlations, kind_samples
 from mibvh.studies.analyse.widths import wide_trees, width_correlations
+from mibvh.studies.measure.counts import LINES, lines_of
 from mibvh.studies.measure.kinds import KindResult
 from mibvh.studies.measure.store import Store
 from mibvh.studies.measure.widths import WidthResult
@@ -17,6 +20,7 @@ from mibvh.studies.paper.claims import claims
 from mibvh.studies.record.options import kinds_or_files, weights, widths_of
 from mibvh.studies.record.serialise import to_json
 from mibvh.studies.report.tables import answers
+from mibvh.studies.report.tidy import tidy_table
 from mibvh.studies.run import read_study
 
 BUILDERS = ("bbvh", "sbvh", "lbvh", "hill", "treelet")
@@ -29,6 +33,7 @@ CHOICES = {
     "experiments": ("prediction",),
 }
 KINDS = ("diffuse", "shadow", "ao", "primary")
+ROOT = Path(__file__).parent.parent
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +78,15 @@ def test_kinds_and_their_weights():
     ):
         with pytest.raises(mibvh.MibvhError, match=said):
             mibvh.StudyOptions(kinds=wrong)
+
+
+def test_commands_in_the_docs_name_rays_that_a_study_takes():
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    told = re.findall(r"--rays ([a-z][\w:.,]*)", "\n".join(page.read_text() for page in pages))
+    asked = [kinds for kinds, _ in map(kinds_or_files, told) if kinds]
+    assert len(asked) > 2
+    for kinds in asked:
+        assert mibvh.StudyOptions(kinds=kinds).kinds == kinds
 
 
 def test_kinds_are_told_from_files():
@@ -204,6 +218,21 @@ def test_kinds_cost_what_their_kernels_visit(found, scene, trees):
                 assert values["counted_cost"] < whole.counted_cost()
     for row, values in zip(record.trees, result.sets[0].values, strict=True):
         assert values["counted_cost"] == row["counted_cost"]  # diffuse rays are the study's own
+
+
+def test_tidy_rows_of_a_kind_say_how_many_of_its_rays(found):
+    table = tidy_table(found.scenes).query("experiment == 'kinds'")
+    rays = {kind.name: kind.rays for kind in found.scenes[0].result(KindResult).sets}
+    assert len(set(rays.values())) > 1
+    for name in ("counted_cost", "touched", "sah_lines"):  # so few that all lines are followed
+        of = table[table["measurement"] == name]
+        assert of["rays"].tolist() == of["kind"].map(rays).tolist()
+
+
+@pytest.mark.parametrize("rays", [1, 9_999, 10_000, 10_001, 25_000])
+def test_as_many_lines_are_followed_as_is_said(rays):
+    step = len(range(0, rays, LINES))
+    assert lines_of(rays) == len(range(0, rays, step)) <= LINES
 
 
 def test_a_mixture_is_the_mean_over_its_rays(found):

@@ -56,6 +56,20 @@ def warm_up(name: str, progress: Callable[[str, float], None] = lambda stage, do
     _warm.add(name)
 
 
+def draft_or_tree(
+    entry: Builder, triangles: Triangles, options: Options, context: Context
+) -> Draft | Tree:
+    """Run a builder, over parts of the triangles if these are to be split beforehand."""
+    if options.presplit > 0:
+        return _over_parts(entry, triangles, options, context)
+    return entry.run(triangles, options, context)
+
+
+def leaf_measure(draft: Draft, context: Context) -> Any:
+    """Return the compiled measure that a draft's leaves are collapsed by; None for areas."""
+    return draft.measure or context.compiled_measure(draft.references.scale)
+
+
 def _over_parts(entry: Builder, triangles: Triangles, options: Options, context: Context) -> Draft:
     """Run a builder over the references that splitting triangles beforehand makes."""
     from mibvh.builders.splitting import as_boxes, over_parts, presplit  # compiled code
@@ -124,11 +138,7 @@ def build(
     warm_up(builder, context.progress)
     context.progress("building", 0.0)
     started, before = time.perf_counter(), spared()
-    draft: Draft | Tree
-    if chosen.presplit > 0:
-        draft = _over_parts(entry, triangles, chosen, context)
-    else:
-        draft = entry.run(triangles, chosen, context)
+    draft = draft_or_tree(entry, triangles, chosen, context)
     report = draft.meta.get("report", {}) if isinstance(draft, Tree) else draft.report
     meta = origin_of(builder, chosen, triangles, report)
     if isinstance(draft, Tree):
@@ -140,7 +150,7 @@ def build(
             c_tri=chosen.c_tri,
             max_leaf=chosen.max_leaf,
             meta=meta,
-            measure=draft.measure or context.compiled_measure(draft.references.scale),
+            measure=leaf_measure(draft, context),
         )
     meta = {**tree.meta, "build_seconds": time.perf_counter() - started + spared() - before}
     # The paper's builders are validated by the tests instead.

@@ -46,7 +46,7 @@ def study(
         typer.Option(
             metavar="FILE[,FILE...]",
             help="your own rays, one file per scene; or kinds of rays to study as well: diffuse, "
-            "shadow, ao, primary, bounce2, ..., with weights as in shadow:2",
+            "shadow, ao, primary, bounce2, ..., all or none with weights: diffuse:1,shadow:2",
         ),
     ] = None,
     widths: Annotated[

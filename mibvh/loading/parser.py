@@ -101,7 +101,8 @@ def _parse(
     saved = mi.FileResolver(resolver)
     try:
         if folder is not None:
-            resolver.append(str(folder.resolve()))
+            # In front, as Mitsuba has it: the working folder may hold files of the same names.
+            resolver.prepend(str(folder.resolve()))
         config = mi.parser.ParserConfig(mi.variant())
         # Meshes that are merged would give the triangles other numbers; nodes that are merged, to
         # an integrator, be the same shape twice.

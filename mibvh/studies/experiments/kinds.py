@@ -8,6 +8,7 @@ from typing import Any
 from mibvh.audit.record import Check
 from mibvh.metrics.registry import Quantity
 from mibvh.studies.analyse.kinds import kind_samples
+from mibvh.studies.measure.counts import lines_of
 from mibvh.studies.measure.kinds import KindResult, kind_experiment
 from mibvh.studies.record.experiment import Experiment, TidyRow
 from mibvh.studies.record.scene import SceneRecord
@@ -18,8 +19,9 @@ def _rows(record: SceneRecord) -> Iterator[TidyRow]:
     if found := record.result(KindResult):
         for kind in found.sets:
             of = {"experiment": "kinds", "kind": kind.name}
+            rays = {"all": kind.rays, "lines": lines_of(kind.rays)}
             for place, values in enumerate(kind.values):
-                yield TidyRow(place, values, of, {"all": kind.rays})
+                yield TidyRow(place, values, of, rays)
 
 
 def _audits(record: SceneRecord) -> Iterator[tuple[str, list[Check]]]:

@@ -42,6 +42,11 @@ _COUNTERS = (
 )
 
 
+def lines_of(rays: int) -> int:
+    """Return of how many rays the lines are followed: of every k-th."""
+    return -(-rays // max(1, -(-rays // LINES)))
+
+
 @dataclasses.dataclass(frozen=True)
 class Counts:
     """Counts of a scene's rays in one tree; see :class:`TreeRow`."""

@@ -10,6 +10,7 @@ import functools
 from collections.abc import Mapping
 
 from mibvh.builders import Context, get
+from mibvh.builders.building import draft_or_tree, leaf_measure
 from mibvh.builders.finish import finish
 from mibvh.builders.sharing import shared_drafts
 from mibvh.errors import TreeFailed, of_one_tree
@@ -39,6 +40,8 @@ _LEAF_RAYS = 262_144
 @dataclasses.dataclass(frozen=True)
 class LeafSize:
     """A tree whose leaves were collapsed with another largest size.
+
+    The builder itself ran with its own: some use that while they build.
 
     Attributes
     ----------
@@ -119,17 +122,20 @@ def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _
         return _Sizes([])
     entry = get(source.chosen.builder)
     options = entry.options(**dict(source.chosen.options))
+    context = Context(source=scene)
     with of_one_tree():
-        draft = entry.run(triangles, options, Context(source=scene))
+        draft = draft_or_tree(entry, triangles, options, context)
     if isinstance(draft, Tree):
         return _Sizes([])
     some = rays.select(slice(None, None, -(-len(rays) // _LEAF_RAYS)))
     tracer = Tracer(some, float(unit_scale(triangles)), cull=cull)
     costs = {"c_inner": options.c_inner, "c_tri": options.c_tri}
     meta = {"triangles": len(triangles), "digest": triangles.digest, **costs}
+    measure = leaf_measure(draft, context)
 
     def at_size(size: int) -> LeafSize:
-        tree = with_paper_costs(finish(draft, **costs, max_leaf=size, meta=meta))
+        finished = finish(draft, **costs, max_leaf=size, meta=meta, measure=measure)
+        tree = with_paper_costs(finished)
         values = {
             "sah": sah(tree),
             "epo": epo(tree, triangles),

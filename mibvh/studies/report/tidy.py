@@ -11,7 +11,7 @@ import pandas as pd
 
 from mibvh.files import atomic_path, file_name, make_folder, write_text
 from mibvh.metrics.registry import Quantity
-from mibvh.studies.measure.counts import LINES
+from mibvh.studies.measure.counts import lines_of
 from mibvh.studies.measure.warps import simulated_rays
 from mibvh.studies.record.experiment import TidyRow, experiments
 from mibvh.studies.record.quantities import quantities
@@ -84,8 +84,7 @@ def _rows(
     tree, of = record.trees[tidy.place], dict(tidy.of)
     # Trees of other programs have no options.
     max_leaf = of.pop("max_leaf", tree.options.get("max_leaf", -1))
-    options = {**tree.options, "max_leaf": max_leaf} if tree.options else {}
-    before = {**common, "builder": tree.builder, "builder_options": _text(options)}
+    before = {**common, "builder": tree.builder, "builder_options": _text(tree.options)}
     after = {**_USUAL, "max_leaf": max_leaf, **of}
     undeclared = [Quantity(name=name, unit="") for name in tidy.values if name not in known]
     for quantity in (*known.values(), *undeclared):
@@ -126,10 +125,9 @@ def _common(record: SceneRecord) -> dict[str, Any]:
 def _rays(record: SceneRecord) -> dict[str, int]:
     """Return the sizes of the ray populations."""
     count = record.rays.count
-    every = -(-count // LINES)
     return {
         "all": count,
-        "lines": -(-count // every),  # every k-th
+        "lines": lines_of(count),
         "warp": len(simulated_rays(count, record.options.warp_width)),
         **{lanes: timing.rays for lanes, timing in record.timing.items()},
     }
