@@ -65,6 +65,15 @@ def _over_parts(entry: Builder, triangles: Triangles, options: Options, context:
     return over_parts(entry.draft(as_boxes(references), plain, context), references, entry.name)
 
 
+def draft_of(
+    entry: Builder, triangles: Triangles, options: Options, context: Context
+) -> Draft | Tree:
+    """Run a builder, over split triangles if its options say so; a finished tree stays one."""
+    if options.presplit > 0:
+        return _over_parts(entry, triangles, options, context)
+    return entry.run(triangles, options, context)
+
+
 def origin_of(
     builder: str, options: Options, triangles: Triangles, report: Mapping[str, Any]
 ) -> dict[str, Any]:
@@ -124,11 +133,7 @@ def build(
     warm_up(builder, context.progress)
     context.progress("building", 0.0)
     started, before = time.perf_counter(), spared()
-    draft: Draft | Tree
-    if chosen.presplit > 0:
-        draft = _over_parts(entry, triangles, chosen, context)
-    else:
-        draft = entry.run(triangles, chosen, context)
+    draft = draft_of(entry, triangles, chosen, context)
     report = draft.meta.get("report", {}) if isinstance(draft, Tree) else draft.report
     meta = origin_of(builder, chosen, triangles, report)
     if isinstance(draft, Tree):
