@@ -323,6 +323,45 @@ def binary_nodes(wide: WideTree, tree: Tree) -> I32:
     return nodes
 
 
+def nodes_in_finer(tree: Tree, finer: Tree) -> I32 | None:
+    """Which node of a finer tree each node of a tree is, if both were collapsed from one draft.
+
+    What is known of the finer tree's nodes, such as their overlap, need not be computed again.
+
+    Parameters
+    ----------
+    tree : Tree
+    finer : Tree
+        The same but for its leaves, some of which are smaller.
+
+    Returns
+    -------
+    (M,) int32 or None
+        None if the trees differ otherwise: some node of the tree is none of the finer one's, or
+        has another box.
+    """
+    nodes = _same_places(tree.left, finer.left)
+    if len(nodes) < len(tree) or not (
+        np.array_equal(tree.lower, finer.lower[nodes])
+        and np.array_equal(tree.upper, finer.upper[nodes])
+    ):
+        return None
+    return nodes
+
+
+@njit
+def _same_places(left, finer):
+    """Walk two trees side by side, the first to its leaves; nothing if the second ends before."""
+    place = np.zeros(len(left), np.int32)
+    for n in range(len(left)):  # parents before children
+        if left[n] >= 0:
+            child = finer[place[n]]
+            if child < 0:
+                return place[:0]
+            place[left[n]], place[left[n] + 1] = child, child + 1
+    return place
+
+
 def unfold(tree: Tree, triangles: Any) -> Tree:
     """Halve a tree's leaves until each holds one reference, boxed by its part of the leaf's box.
 

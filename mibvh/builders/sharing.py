@@ -2,7 +2,10 @@
 
 The paper's optimisers start from another builder's tree, which a study usually builds anyway. Its
 draft is kept here for them, in a file if it is large. The time that it took still counts for each
-of them.
+of them; the time of keeping and copying it does not.
+
+A study that makes other trees of the drafts later, with leaves of other sizes, has them kept in
+files until then.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ import copy
 import dataclasses
 import functools
 import pickle
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -25,6 +29,8 @@ T = TypeVar("T")
 
 #: Drafts of at least so many bytes are kept in a file: about 2.5 million triangles.
 LARGE = 1.5e8
+#: Share of the free disk space that a draft may take that is only kept to spare a second build.
+_SPARE = 0.05
 
 
 @dataclasses.dataclass
@@ -39,42 +45,69 @@ class Drafts:
         Folder for the files of large drafts.
     wanted : frozenset of (str, options)
         Builders and options whose drafts are worth keeping.
+    later : frozenset of (str, options)
+        Those whose drafts are kept in files, as far as the disk has room, until the end of the
+        outermost :func:`shared_drafts`.
     spared : float
-        Seconds of building that kept drafts have saved so far.
+        Seconds of building that kept drafts have saved so far, less those of keeping them.
     """
 
     digest: str
     folder: Path | None
     wanted: frozenset[Any] = frozenset()
+    later: frozenset[Any] = frozenset()
     spared: float = 0.0
     _kept: dict[Any, tuple[Callable[[], Any], float]] = dataclasses.field(default_factory=dict)
 
     def want(self, builders: frozenset[Any]) -> None:
-        """Keep drafts of these builders and options from now on, and drop all others."""
+        """Keep drafts of these builders and options, besides :attr:`later`; drop all others."""
         self.wanted = builders
-        for key in [key for key in self._kept if key[:2] not in builders]:
+        for key in [key for key in self._kept if key[:2] not in builders | self.later]:
             again, _ = self._kept.pop(key)
             if isinstance(again, _InFile):
                 again.close()
 
     def draft(self, key: Any, make: Callable[[], T]) -> T:
         """Return a copy of the draft that is kept under a key, or make and keep it."""
-        if key not in self._kept:
-            started, spared = time.perf_counter(), self.spared
-            made = make()
-            seconds = time.perf_counter() - started + self.spared - spared
-            self._kept[key] = self._keep(made), seconds
-            if isinstance(self._kept[key][0], _InFile):
-                return made  # the file is the kept copy
-        else:
-            self.spared += self._kept[key][1]
-        return cast(T, self._kept[key][0]())
+        if key in self._kept:
+            again, seconds = self._kept[key]
+            self.spared += seconds
+            with self._not_building():
+                return cast(T, again())
+        started, spared = time.perf_counter(), self.spared
+        made = make()
+        seconds = time.perf_counter() - started + self.spared - spared
+        with self._not_building():
+            kept = self._keep(made, key[:2])
+            if kept is not None:
+                self._kept[key] = kept, seconds
+            # A file is a copy; what is kept in memory must not be given away.
+            return made if kept is None or isinstance(kept, _InFile) else cast(T, kept())
 
-    def _keep(self, made: Any) -> Callable[[], Any]:
-        """Return a function that makes copies, because builders may change the arrays."""
-        if _size(made) < LARGE or getattr(made, "measure", None) is not None:
-            return functools.partial(copy.deepcopy, made)
-        return _InFile(made, self.folder)
+    @contextlib.contextmanager
+    def _not_building(self) -> Iterator[None]:
+        started = time.perf_counter()
+        yield
+        self.spared -= time.perf_counter() - started
+
+    def _keep(self, made: Any, of: tuple[Any, ...]) -> Callable[[], Any] | None:
+        """Return a function that makes copies, because builders may change the arrays.
+
+        None if the draft is not kept: nothing starts from it, and there is little room.
+        """
+        size = _size(made)
+        has_file = getattr(made, "measure", None) is None  # compiled code has none
+        if has_file and of in self.later and size < _SPARE * self._free_space():
+            with contextlib.suppress(OSError):
+                return _InFile(made, self.folder)
+        if of not in self.wanted:
+            return None
+        if has_file and size >= LARGE:
+            return _InFile(made, self.folder)
+        return functools.partial(copy.deepcopy, made)
+
+    def _free_space(self) -> int:
+        return shutil.disk_usage(self.folder or tempfile.gettempdir()).free
 
 
 class _InFile:
@@ -110,18 +143,28 @@ _current: ContextVar[Drafts | None] = ContextVar("drafts", default=None)
 def shared_drafts(digest: str, folder: Path | None = None) -> Iterator[Drafts]:
     """Share the drafts of triangles of this digest among all builds within the block.
 
+    Within a block of the same triangles it is that block's drafts that are shared.
+
     Parameters
     ----------
     digest : str
     folder : Path, optional
         Folder for the files of large drafts; by default the system's temporary folder.
     """
+    outer = _current.get()
+    if outer is not None and outer.digest == digest:
+        try:
+            yield outer
+        finally:
+            outer.want(frozenset())
+        return
     drafts = Drafts(digest, folder)
     token = _current.set(drafts)
     try:
         yield drafts
     finally:
         _current.reset(token)
+        drafts.later = frozenset()
         drafts.want(frozenset())
 
 
@@ -145,7 +188,7 @@ def share(name: str, triangles: Any, options: Any, context: Any, make: Callable[
         Makes the draft.
     """
     drafts = _current.get()
-    if drafts is None or (name, options) not in drafts.wanted:
+    if drafts is None or (name, options) not in drafts.wanted | drafts.later:
         return make()
     if getattr(triangles, "digest", None) != drafts.digest:
         return make()

@@ -20,6 +20,7 @@ import numpy as np
 
 from mibvh._jit import njit
 from mibvh.errors import MibvhError
+from mibvh.parallel import run_blocks
 from mibvh.traversal.pages import ROW, in_place, own_memory, pages_of
 from mibvh.traversal.wide_rows import as_wide, wide_rows
 from mibvh.tree import MAX_DEPTH, Tree
@@ -29,6 +30,8 @@ from mibvh.wide_tree import WideTree
 
 Layout = Literal["binary", "wide"]
 
+#: References whose rows a thread writes at a time.
+_BLOCK = 32_768
 #: The code of "nothing left to do".
 DONE = -(2**31)
 
@@ -214,7 +217,13 @@ def _leaf_rows(tree: Tree | WideTree, triangles: Triangles, scale: np.float32, r
     last = np.zeros(len(tree.references), np.int32)
     leaves = tree.is_leaf
     last[tree.first[leaves] + tree.count[leaves] - 1] = 1
-    _triangle_rows(triangles.corners, tree.references, last, scale, rows)
+    references = tree.references
+
+    def work(_worker: int, begin: int, end: int) -> None:
+        some = slice(begin, end)
+        _triangle_rows(triangles.corners, references[some], last[some], scale, rows[some])
+
+    run_blocks(work, len(references), _BLOCK)
 
 
 def _check_depth(depth: int) -> None:

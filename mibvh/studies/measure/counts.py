@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from mibvh.traversal.records import make_records, unit_scale
 from mibvh.traversal.styles import find_style
 from mibvh.traversal.trace import Hits, Tracer
 from mibvh.tree import Tree
-from mibvh.triangles import F64, Triangles
+from mibvh.triangles import F32, F64, I32, Triangles
 from mibvh.wide_tree import WideTree
 
 #: Groups of rays over which a tree's mean cost is kept, for the bootstrap.
@@ -115,12 +116,13 @@ class RayCounter:
         return self._closest
 
     def paths(self, hits: Hits) -> RayPaths:
-        """Ends and lines of the rays, recomputed only if a tree's hits differ from the last tree's.
+        """Ends and lines of the rays, recomputed only where hits differ from the last tree's.
 
         Trees agree on hits but for ties: rays that meet two triangles at one distance.
         """
-        if self._paths is None or not self._paths.are_of(hits):
+        if self._paths is None:
             self._paths = RayPaths.of(self.triangles, self.rays, hits)
+        self._paths = self._paths.with_hits(self.triangles, self.rays, hits)
         return self._paths
 
     def __call__(self, tree: Tree | WideTree) -> Counts:
@@ -215,11 +217,33 @@ class RayPaths:
             path_length_ratio(triangles, rays, hits),
         )
 
-    def are_of(self, hits: Hits) -> bool:
-        """Whether these paths also follow from other hits."""
-        return np.array_equal(self.hits.t, hits.t) and np.array_equal(
-            self.hits.triangle, hits.triangle
-        )
+    def with_hits(self, triangles: Triangles, rays: RaySet, hits: Hits) -> RayPaths:
+        """Return the paths of other hits of the rays: the same as :meth:`of` would.
+
+        At the same distances, only rays that hit another triangle end elsewhere: in its plane.
+        """
+        hit = hits.triangle >= 0
+        if not np.array_equal(self.hits.t, hits.t) or not np.array_equal(
+            self.hits.triangle >= 0, hit
+        ):
+            return RayPaths.of(triangles, rays, hits)
+        changed = np.flatnonzero(self.hits.triangle != hits.triangle)
+        if len(changed) == 0:
+            return self
+        some = _SomeHits(hits.t[changed], hits.triangle[changed])
+        moved = ray_hits(triangles, rays.select(changed), some)
+        place = np.searchsorted(np.flatnonzero(hit), changed)
+        points, triangle = self.ends.points.copy(), self.ends.triangle.copy()
+        points[place], triangle[place] = moved.points, moved.triangle
+        ends = RayEnds(points, triangle, self.ends.rays)
+        return dataclasses.replace(self, hits=hits, ends=ends)
+
+
+class _SomeHits(NamedTuple):
+    """Where some rays end."""
+
+    t: F32
+    triangle: I32
 
 
 def _counters(hits: Hits) -> dict[str, float]:

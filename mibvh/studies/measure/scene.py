@@ -7,6 +7,7 @@ import dataclasses
 import functools
 from collections.abc import Sequence
 
+from mibvh.builders.sharing import shared_drafts
 from mibvh.code import code_digest
 from mibvh.environment import environment
 from mibvh.errors import MibvhError, TreeFailed
@@ -21,7 +22,7 @@ from mibvh.studies.measure.scene_digest import scene_digest
 from mibvh.studies.measure.setting import Setting
 from mibvh.studies.measure.store import Store, key_of
 from mibvh.studies.measure.times import LANES, kept_times
-from mibvh.studies.measure.trees import sources_of, study_trees
+from mibvh.studies.measure.trees import bundled_drafts, sources_of, study_trees
 from mibvh.studies.measure.warps import WarpRules
 from mibvh.studies.record.experiment import Experiment, chosen
 from mibvh.studies.record.options import StudyOptions
@@ -82,6 +83,21 @@ def study_scene(
         If the scene cannot be studied, or all of its trees fail.
     """
     asked = chosen(options.experiments)
+    with shared_drafts(scene.triangles.digest, store.folder) as drafts:
+        if any(experiment.drafts for experiment in asked):
+            drafts.later = bundled_drafts(options.builders or ())
+        return _study_scene(scene, asked, options, store, listener, given)
+
+
+def _study_scene(
+    scene: Scene,
+    asked: Sequence[Experiment],
+    options: StudyOptions,
+    store: Store,
+    listener: Listener,
+    given: Given,
+) -> SceneRecord:
+    """Run the base experiment, then those that are asked for."""
     shares = _shares(asked)
     reporter = Reporter(listener, scene.name)
     peaks = Peaks()

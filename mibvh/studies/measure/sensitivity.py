@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 from mibvh.builders import Context, get
 from mibvh.builders.building import draft_or_tree, leaf_measure
 from mibvh.builders.finish import finish
 from mibvh.builders.sharing import shared_drafts
+from mibvh.collapsing import nodes_in_finer
 from mibvh.errors import TreeFailed, of_one_tree
-from mibvh.metrics.epo import epo
-from mibvh.metrics.sah import sah
+from mibvh.metrics.epo import overlap
+from mibvh.metrics.sah import node_costs, sah
 from mibvh.rays import RaySet, diffuse_rays
 from mibvh.scene import Scene
 from mibvh.studies.measure.cameras import cameras
@@ -28,8 +30,9 @@ from mibvh.studies.record.scene import OriginCost, Result
 from mibvh.traversal.records import unit_scale
 from mibvh.traversal.trace import Tracer
 from mibvh.tree import Tree
+from mibvh.triangles import Triangles
 
-#: Largest leaves that are tried.
+#: Largest leaves that are tried, in ascending order.
 LEAF_SIZES = (1, 2, 4, 8, 16)
 #: Bounces that are tried, each a set of its own.
 BOUNCES = 3
@@ -116,7 +119,10 @@ def sensitivity_experiment(setting: Setting, report: Reporter) -> SensitivityRes
 
 
 def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _Sizes:
-    """Finish one builder's draft with each leaf size; return metrics and counts of the trees."""
+    """Finish one builder's draft with each leaf size; return metrics and counts of the trees.
+
+    It is the draft of the builder's tree in the base study, if that was built in this run.
+    """
     triangles = scene.triangles
     if source.chosen is None:
         return _Sizes([])
@@ -127,24 +133,75 @@ def _leaf_sizes(source: TreeSource, scene: Scene, rays: RaySet, cull: bool) -> _
         draft = draft_or_tree(entry, triangles, options, context)
     if isinstance(draft, Tree):
         return _Sizes([])
-    some = rays.select(slice(None, None, -(-len(rays) // _LEAF_RAYS)))
-    tracer = Tracer(some, float(unit_scale(triangles)), cull=cull)
     costs = {"c_inner": options.c_inner, "c_tri": options.c_tri}
     meta = {"triangles": len(triangles), "digest": triangles.digest, **costs}
     measure = leaf_measure(draft, context)
 
-    def at_size(size: int) -> LeafSize:
-        finished = finish(draft, **costs, max_leaf=size, meta=meta, measure=measure)
-        tree = with_paper_costs(finished)
-        values = {
-            "sah": sah(tree),
-            "epo": epo(tree, triangles),
-            "counted_cost": float(counted_costs(tracer, tree, triangles).mean()),
-            "mean_leaf_size": tree.stats()["mean_leaf_size"],
-        }
-        return LeafSize(size, len(some), values)
+    def at_size(size: int) -> Tree:
+        tree = finish(draft, **costs, max_leaf=size, meta=meta, measure=measure)
+        return with_paper_costs(tree)
 
-    return _Sizes([at_size(size) for size in LEAF_SIZES])
+    # Trees are made twice, which takes no time, so that one is in memory while rays are counted.
+    metrics = _metrics_of_sizes(at_size, triangles)
+    some = rays.select(slice(None, None, -(-len(rays) // _LEAF_RAYS)))
+    counted = _costs_of_sizes(at_size, triangles, some, cull)
+    return _Sizes(
+        [
+            LeafSize(
+                size,
+                len(some),
+                {
+                    "sah": of_size.sah,
+                    "epo": of_size.epo,
+                    "counted_cost": cost,
+                    "mean_leaf_size": of_size.mean_leaf_size,
+                },
+            )
+            for size, of_size, cost in zip(LEAF_SIZES, metrics, counted, strict=True)
+        ]
+    )
+
+
+class _Metrics(NamedTuple):
+    """Metrics of a tree that need no rays."""
+
+    sah: float
+    epo: float
+    mean_leaf_size: float
+
+
+def _metrics_of_sizes(at_size: Callable[[int], Tree], triangles: Triangles) -> list[_Metrics]:
+    """Metrics with each size.
+
+    The nodes of a tree are some of those of the tree with the smallest leaves. How much of the
+    surfaces overlaps a node does not depend on what is below it, so that is computed once.
+    """
+    finest = at_size(LEAF_SIZES[0])
+    fraction = overlap(finest, triangles).fraction
+    found = []
+    for size in LEAF_SIZES:
+        tree = at_size(size)
+        nodes = nodes_in_finer(tree, finest)
+        # A tree that was too deep had part of it rebuilt.
+        of_nodes = overlap(tree, triangles).fraction if nodes is None else fraction[nodes]
+        overlaps = float((node_costs(tree) * of_nodes).sum())
+        found.append(_Metrics(sah(tree), overlaps, tree.stats()["mean_leaf_size"]))
+    return found
+
+
+def _costs_of_sizes(
+    at_size: Callable[[int], Tree], triangles: Triangles, rays: RaySet, cull: bool
+) -> list[float]:
+    """Counted cost with each size. Large sizes often make the same tree, which is counted once."""
+    tracer = Tracer(rays, float(unit_scale(triangles)), cull=cull)
+    of_tree: dict[str, float] = {}
+    found = []
+    for size in LEAF_SIZES:
+        tree = at_size(size)
+        if tree.digest not in of_tree:
+            of_tree[tree.digest] = float(counted_costs(tracer, tree, triangles).mean())
+        found.append(of_tree[tree.digest])
+    return found
 
 
 def _bounces(setting: Setting, report: Reporter) -> list[list[OriginCost]]:

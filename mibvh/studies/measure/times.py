@@ -176,9 +176,10 @@ def time_frames(
     count = len(chosen[0])
     trees = sum(len(frame.names) for frame in frames)
     prepared = []
-    for frame, some in zip(frames, chosen, strict=True):
+    for i, (frame, some) in enumerate(zip(frames, chosen, strict=True)):
         tracer = _tracers(frame.scene, some, 1, lanes, options, style)[0]
-        prepared.append([_prepared(frame, name, tracer, trees) for name in frame.names])
+        # The first frame decides how the rays are split; the stopwatch warms all trees up.
+        prepared.append([_prepared(frame, name, tracer, trees, i == 0) for name in frame.names])
     shortest = min(seconds for _, seconds in prepared[0])
     copies, portions = _sizes(shortest, count, lanes)
     if copies > _MOST_COPIES[backend()]:
@@ -220,11 +221,13 @@ def _per_ray(timings: Timings, rays: int, copies: int, portions: int) -> TreeTim
     )
 
 
-def _prepared(frame: Frame, name: str, tracer: Tracer, trees: int) -> tuple[Records, float]:
-    """Return the records of one tree, and the seconds of one launch of all rays."""
+def _prepared(
+    frame: Frame, name: str, tracer: Tracer, trees: int, timed: bool
+) -> tuple[Records, float]:
+    """Return the records of one tree, and the seconds of a launch of all rays, if it is timed."""
     records = make_records(frame.trees[name], frame.scene.triangles, tracer.layout)
-    tracer.run(records)  # may compile
-    seconds = tracer.run(records)[1].kernel
+    # Without compilation, so that the first launch will do.
+    seconds = tracer.run(records)[1].kernel if timed else math.nan
     if records.layout == "binary" and backend() == "llvm" and trees * records.size > LARGE:
         records = trimmed(records, tracer)
     return records, seconds

@@ -120,6 +120,15 @@ def sources_of(builders: Sequence[str], trees: Mapping[str, Tree]) -> dict[str, 
     return {source.name: source for source in (*made, *given)}
 
 
+def bundled_drafts(builders: Sequence[str]) -> frozenset[tuple[str, Options]]:
+    """Return those of the builders, with options, that are this package's own.
+
+    For them a second build would give the same draft.
+    """
+    entries = [(get(one.builder), dict(one.options)) for one in parse_all(builders)]
+    return frozenset((e.name, e.options(**chosen)) for e, chosen in entries if e.bundled)
+
+
 def with_paper_costs(tree: Tree) -> Tree:
     """Return a tree with the paper's cost constants, whatever it was built with.
 

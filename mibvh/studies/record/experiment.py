@@ -65,6 +65,8 @@ class Experiment:
         None if it measures no more than every study does.
     weight : float
         Its duration relative to the base study, for the progress bar.
+    drafts : bool
+        Whether it makes other trees of the builders' drafts, which are kept for it then.
     quantities : tuple of Quantity
         Quantities of its rows in ``results.parquet``, besides those of the base study.
     rows : callable
@@ -83,6 +85,7 @@ class Experiment:
     summary: str
     measure: Callable[..., Result] | None = None
     weight: float = 0.0
+    drafts: bool = False
     quantities: tuple[Quantity, ...] = ()
     rows: Callable[[SceneRecord], Iterable[TidyRow]] = _nothing
     sheets: Callable[[Records], Iterable[Sheet]] = _nothing
