@@ -90,6 +90,20 @@ def test_rays_written_anew_build_anew(scene, tmp_path):
     assert digests[0] != digests[1]
 
 
+def test_lights_that_move_build_anew():
+    """Shadow rays go to them."""
+    lamp = {"type": "point", "position": [0.5, 9.0, 0.5]}
+    body = {"type": "scene", "lamp": lamp, "box": {"type": "cube"}}
+    lit, kept = mi.load_dict(body), []
+    for height in (9.0, 9.0, -9.0):
+        params = mi.traverse(lit)
+        params["lamp.position"] = [0.5, height, 0.5]
+        params.update()
+        kept.append(Accelerator(lit, "finite", kind="shadow").tree)
+    assert kept[0] is kept[1]
+    assert kept[0] is not kept[2]
+
+
 SCENE = """<scene version="3.0.0">
     <integrator type="bvh_cost"><string name="tree" value="beside.npz"/></integrator>
     <sensor type="perspective">

@@ -14,6 +14,7 @@ from mibvh.errors import MibvhError
 from mibvh.layouts import read_tree
 from mibvh.scene import Scene
 from mibvh.studies.measure.cameras import cameras
+from mibvh.studies.measure.scene_digest import lights_digest
 from mibvh.traversal.child_order import child_priority
 from mibvh.traversal.records import Layout, Records, make_records
 from mibvh.traversal.wide_rows import as_wide
@@ -58,11 +59,13 @@ class Builder:
         layout : "binary" or "wide"
             In the wide one, children have an order for rays that any hit ends.
         """
-        seen_from = cameras(scene) if isinstance(scene, Scene) and self.asks_scene else []
+        made_for: tuple[Any, ...] = ()
+        if isinstance(scene, Scene) and self.asks_scene:
+            made_for = cameras(scene), lights_digest(scene)
         # A user's own builder may be registered anew under its name.
         # A file that an option names may be written anew.
         written = tuple(_changed(value) for _, value in self.options if isinstance(value, str))
-        depends = (self, get(self.name).function, str(seen_from), written)
+        depends = (self, get(self.name).function, str(made_for), written)
         return _kept(
             depends,
             lambda: build(scene, self.name, progress=progress, **dict(self.options)),

@@ -1,8 +1,9 @@
-"""A hash of all that a rendered image of a scene depends on: lights and materials too."""
+"""Hashes of all that a rendered image of a scene depends on, and of its lights alone."""
 
 from __future__ import annotations
 
 import hashlib
+from typing import Any
 
 import numpy as np
 
@@ -30,11 +31,36 @@ def scene_digest(scene: Scene) -> str:
         digest.update(str(error).encode())
         return digest.hexdigest()
     if whole is not None:
-        parameters = mitsuba().traverse(whole)
-        for name in sorted(parameters.keys()):
-            digest.update(name.encode())
-            array = np.array(parameters[name])
-            # Transforms and the like become arrays of objects, but print their numbers.
-            text = array.dtype == object
-            digest.update(str(parameters[name]).encode() if text else array.tobytes())
+        _add_parameters(digest, whole)
     return digest.hexdigest()
+
+
+def lights_digest(scene: Scene) -> str:
+    """Hash the parameters of a scene's lights, to which shadow rays go.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    str
+        SHA-256, hexadecimal.
+    """
+    digest = hashlib.sha256()
+    whole = scene.renderable
+    for light in whole.emitters() if whole is not None else []:
+        digest.update(light.class_name().encode())
+        _add_parameters(digest, light)
+    return digest.hexdigest()
+
+
+def _add_parameters(digest: Any, of: Any) -> None:
+    """Hash all parameters of an object of Mitsuba's, by name."""
+    parameters = mitsuba().traverse(of)
+    for name in sorted(parameters.keys()):
+        digest.update(name.encode())
+        array = np.array(parameters[name])
+        # Transforms and the like become arrays of objects, but print their numbers.
+        text = array.dtype == object
+        digest.update(str(parameters[name]).encode() if text else array.tobytes())
