@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from conftest import closed_box, soup
+from cuts import cut
 
 import mibvh
 from mibvh.metrics.lines import line_costs
@@ -155,6 +156,30 @@ def test_no_traversal_costs_less_than_what_a_ray_touches():
     # Boxes that begin where the ray ends count as touched, but need not be visited.
     assert (1.2 * hits.inner + hits.tests >= touched - 1e-6).mean() > 0.98
     assert touched.mean() > 0.5 * hits.counted_cost()
+
+
+@pytest.mark.parametrize("kind", ["sbvh", "bittner from sbvh"])
+def test_a_ray_touches_the_flat_box_that_it_hits(kind):
+    """The hit's distance is rounded; what is touched is told by places, in float64."""
+    triangles, tree = cut("tiles", kind)
+    rng = np.random.default_rng(1)
+    o = rng.uniform([0, 0, 0.1], [10, 8, 3], (2000, 3)).astype(np.float32)
+    d = rng.normal(size=(2000, 3)).astype(np.float32)
+    rays = mibvh.RaySet(o, d / np.linalg.norm(d, axis=1, keepdims=True))
+    hits = mibvh.trace(tree, triangles, rays, repeats=1)
+    at = hits.triangle >= 0
+    assert at.mean() > 0.5
+    a, b, c = np.moveaxis(triangles.corners[hits.triangle].astype(float), 1, 0)
+    normal = np.cross(b - a, c - a)
+    o, d = rays.o.astype(float), rays.d.astype(float)
+    end = np.where(at, ((a - o) * normal).sum(1) / (d * normal).sum(1), np.inf)
+    with np.errstate(divide="ignore"):
+        low, high = ((box - o[:, None]) / d[:, None] for box in (tree.lower, tree.upper))
+    near = np.maximum(np.minimum(low, high).max(axis=2), 0)
+    far = np.maximum(low, high).min(axis=2)
+    expected = (near <= np.minimum(far, (1 + 1e-9) * end[:, None])) @ node_costs(tree)
+    touched = line_costs(tree, mibvh.ray_lines(triangles, rays, hits), whole=False)
+    assert np.isclose(touched, expected, atol=1e-9).mean() > 0.999
 
 
 def test_lines_take_the_cost_constants_of_the_tree(small_soup):
