@@ -23,7 +23,7 @@ from mibvh.studies.measure.depth import (
 from mibvh.studies.measure.rotation import RotationResult
 from mibvh.studies.measure.sensitivity import SensitivityResult
 from mibvh.studies.measure.setting import Setting
-from mibvh.studies.measure.times import times
+from mibvh.studies.measure.times import Frame, time_frames, times
 from mibvh.studies.paper.catalogue import (
     find_paper_scene,
     paper_comparison,
@@ -36,6 +36,7 @@ from mibvh.studies.record.claim import FEWEST_SCENES
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.report.tables import answers
 from mibvh.studies.report.tidy import tidy_table
+from mibvh.traversal.trace import Tracer
 
 CHOICES = {
     "width": 24,
@@ -266,6 +267,31 @@ def test_trees_that_two_builders_made_alike_tell_of_the_stopwatch(cornell, monke
     times(trees, cornell, rays, "scalar", options, lambda *stage: None)
     # The first and the last tree have second names, 4 and 5.
     assert asked == [[(0, 4), (3, 5), (1, 2), (0, 3)]]
+
+
+def test_trees_are_launched_whole_once_before_the_stopwatch(cornell, monkeypatch):
+    """Those of the first frame, which decide how the rays are split; the others not at all."""
+    rays = mibvh.diffuse_rays(cornell, width=24, height=16)
+    trees = {name: mibvh.build(cornell.triangles, name) for name in ("bbvh", "lbvh", "sbvh")}
+    launched = []
+    run = Tracer.run
+
+    def counted(self, records, **options):
+        launched.append(self.count)
+        return run(self, records, **options)
+
+    def no_stopwatch(launches, **options):
+        asked.append((len(launches), len(launched)))
+        return stopwatch.measure(launches, **options)
+
+    asked: list[tuple[int, int]] = []
+    monkeypatch.setattr(Tracer, "run", counted)
+    monkeypatch.setattr("mibvh.studies.measure.times.measure", no_stopwatch)
+    options = StudyOptions(seconds=0.1, standard_error=1e-6)
+    frame = Frame(cornell, rays, trees, list(trees))
+    found = time_frames([frame, frame], "scalar", options, lambda *stage: None)
+    assert asked == [(6, 3)]
+    assert np.isfinite(found.ns).all()
 
 
 def test_leaf_sizes_and_bounces_against_the_library(full, cornell):

@@ -9,7 +9,7 @@ import pytest
 from conftest import soup
 
 import mibvh
-from mibvh.studies.measure.counts import RayCounter
+from mibvh.studies.measure.counts import RayCounter, RayPaths
 from mibvh.studies.measure.stopwatch import Timings, measure
 from mibvh.studies.measure.store import Store
 from mibvh.studies.run import read_study, write_outputs
@@ -63,6 +63,32 @@ def test_paths_are_found_anew_only_where_hits_differ(cornell):
     assert counter.paths(again) is first
     missed = dataclasses.replace(hits, triangle=np.full_like(hits.triangle, -1))
     assert len(counter.paths(missed).ends) == 0
+
+
+def test_paths_of_rays_that_hit_another_of_two_triangles(cornell, monkeypatch):
+    """At the same distance: as they would be found from the beginning, to the last bit."""
+    rays = mibvh.diffuse_rays(cornell, width=24, height=16, samples=1)
+    tree = mibvh.build(cornell.triangles, "sbvh")
+    hits = mibvh.trace(tree, cornell.triangles, rays, repeats=1)
+    found, rng = [hits], np.random.default_rng(0)
+    for share in (0.01, 0.5):
+        other = (hits.triangle + 1) % len(cornell.triangles)
+        tied = (hits.triangle >= 0) & (rng.random(len(rays)) < share)
+        found.append(dataclasses.replace(hits, triangle=np.where(tied, other, hits.triangle)))
+        assert 0 < np.count_nonzero(tied) < len(rays)
+    expected = [RayPaths.of(cornell.triangles, rays, hits) for hits in found]
+    counter = RayCounter(cornell, rays, cull=False)
+    counter.paths(found[0])
+    monkeypatch.setattr(RayPaths, "of", None)  # is not needed any more
+    for hits, alone in zip(found, expected, strict=True):
+        paths = counter.paths(hits)
+        assert np.array_equal(paths.ends.points, alone.ends.points)
+        assert np.array_equal(paths.ends.triangle, alone.ends.triangle)
+        assert paths.ends.rays == alone.ends.rays
+        for name in ("o", "d", "length", "share"):
+            assert np.array_equal(getattr(paths.lines, name), getattr(alone.lines, name))
+        assert paths.length_ratio == alone.length_ratio
+        assert paths.hits is hits
 
 
 def test_files(finished):

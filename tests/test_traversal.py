@@ -1,8 +1,11 @@
 import numpy as np
 import pytest
 from conftest import closed_box, soup
+from cuts import cut
 
 import mibvh
+from mibvh.traversal import records
+from mibvh.traversal.records import binary_rows
 from mibvh.variant import lane_width, mitsuba
 
 STYLES = ["single", "while-while", "speculative", "wide"]
@@ -262,3 +265,16 @@ def test_impossible_requests(small_soup):
         mibvh.trace(tree, small_soup, rays, repeats=0)
     with pytest.raises(mibvh.MibvhError, match="another geometry"):
         mibvh.trace(tree, soup(60, 9), rays)
+
+
+def test_records_do_not_depend_on_threads(monkeypatch):
+    """Rows of triangles are written in blocks, by several threads."""
+    triangles, tree = cut("pipes", "sbvh, all splits")
+    monkeypatch.setenv("MIBVH_THREADS", "1")
+    whole, root = binary_rows(tree, triangles)
+    monkeypatch.setenv("MIBVH_THREADS", "3")
+    monkeypatch.setattr(records, "_BLOCK", 7)
+    parts, same_root = binary_rows(tree, triangles)
+    assert len(tree.references) > 7 * 3
+    assert root == same_root
+    assert np.array_equal(whole.view(np.uint32), parts.view(np.uint32))

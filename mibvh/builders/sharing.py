@@ -115,7 +115,11 @@ class _InFile:
 
     def __init__(self, made: Any, folder: Path | None) -> None:
         self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - goes with the draft
-        pickle.dump(made, self._file, protocol=5)
+        try:
+            pickle.dump(made, self._file, protocol=5)
+        except OSError:  # the disk is full
+            self._file.close()
+            raise
 
     def __call__(self) -> Any:
         """Read it."""
