@@ -77,12 +77,19 @@ class Reporter:
 
     def __call__(self, stage: str, done: float) -> None:
         """Report that this part has reached a stage; ``done`` is from 0 to 1 within the part."""
-        at = self.begin + self.share * done
-        self.listener(Progress(self.scene, self.experiment, stage, self.builder, at))
+        self.listener(
+            Progress(self.scene, self.experiment, stage, self.builder, self._within(done))
+        )
+
+    def _within(self, done: float) -> float:
+        """Progress of the whole; rounded, as a part may end one rounding after the next begins."""
+        return round(self.begin + self.share * done, 12)
 
     def expect(self, memory: float) -> None:
         """Report the predicted peak memory of the process, in bytes."""
-        step = Progress(self.scene, self.experiment, "rays", self.builder, self.begin, memory)
+        step = Progress(
+            self.scene, self.experiment, "rays", self.builder, self._within(0.0), memory
+        )
         self.listener(step)
 
     def missing(self, what: str, why: MibvhError, tree: str = "") -> None:
@@ -92,7 +99,7 @@ class Reporter:
         self.found_missing.append(found)
         if os.environ.get("MIBVH_DEBUG"):
             traceback.print_exception(why)
-        step = Progress(self.scene, self.experiment, MISSING, self.builder, self.begin)
+        step = Progress(self.scene, self.experiment, MISSING, self.builder, self._within(0.0))
         self.listener(dataclasses.replace(step, missing=str(found)))
 
     def part(self, begin: float, share: float, builder: str | None = None) -> Reporter:
