@@ -1,5 +1,6 @@
 """Hits, counters and what is computed from them, on cuts of real geometry with deep split trees."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -59,6 +60,24 @@ def test_counters_and_lcv(name, kind, cull):
     variance = sum((n - mean) ** 2 for n in hits.leaves.tolist()) / len(rays)
     assert hits.lcv == pytest.approx(variance**0.5, rel=1e-12)
     assert hits.lcv == pytest.approx(expected[:, 1].std(), rel=2e-2)
+
+
+@few_trees
+def test_counters_of_rays_that_any_hit_ends(name, kind):
+    """Half of them are of limited length. Of a leaf, triangles up to the first hit count."""
+    triangles, tree = cut(name, kind, tilted=True)
+    rays = rays_through(triangles, 150, 7)
+    tmax = np.where(np.arange(150) % 2, np.inf, 0.3 * triangles.diagonal).astype(np.float32)
+    rays = dataclasses.replace(rays, tmax=tmax)
+    expected = reference_counts(tree, triangles, rays, cull=False, any_hit=True)
+    hits = mibvh.trace(tree, triangles, rays, any_hit=True, repeats=1)
+    counted = np.stack([hits.inner, hits.leaves, hits.tests], axis=1)
+    assert (counted == expected).all(axis=1).mean() > 0.97
+    assert counted.sum() == pytest.approx(expected.sum(), rel=5e-3)
+    whole = reference_counts(tree, triangles, rays, cull=False)
+    assert expected.sum() < 0.95 * whole.sum()
+    blocked = (brute_force(triangles, rays) < tmax[:, None]).any(axis=1)
+    np.testing.assert_array_equal(hits.triangle >= 0, blocked)
 
 
 @few_trees

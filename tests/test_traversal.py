@@ -54,18 +54,22 @@ def children_hit(tree, node, o, d, best):
     return sorted(found, key=lambda entry: entry[0])
 
 
-def reference_counts(tree, triangles, rays, cull):
+def reference_counts(tree, triangles, rays, cull, any_hit=False):
     """The same walk, one ray at a time: inner nodes, leaves and triangles visited."""
     counts = np.zeros((len(rays), 3), int)
     distances = brute_force(triangles, rays)
     for i, (o, d) in enumerate(zip(rays.o.astype(float), rays.d.astype(float), strict=True)):
-        best, stack, node, begins = np.inf, [], 0, 0.0
+        best, stack, node, begins = float(rays.tmax[i]), [], 0, 0.0
         while node is not None:
             if cull and begins > best:
                 node, begins = stack.pop() if stack else (None, 0.0)
                 continue
             if tree.left[node] < 0:
                 ids = tree.references[tree.first[node] :][: tree.count[node]]
+                met = np.flatnonzero(distances[i, ids] < best)
+                if any_hit and len(met):
+                    counts[i] += 0, 1, met[0] + 1
+                    break
                 counts[i] += 0, 1, len(ids)
                 best = min(best, distances[i, ids].min())
                 node, begins = stack.pop() if stack else (None, 0.0)
