@@ -63,17 +63,44 @@ def store(typing: Any, array: Any, row: Any, lanes: Any) -> Any:
     return types.void(array, types.intp, lanes), generate
 
 
+def _run(context: Any, build: Any, array_type: Any, array: Any, first: Any) -> Any:
+    data = context.make_array(array_type)(context, build, array).data
+    return build.bitcast(build.gep(data, [first]), _vector(array_type.dtype).as_pointer())
+
+
 @intrinsic
-def fill(typing: Any, value: Any) -> Any:
-    """Return the float64 value in every lane."""
+def load_run(typing: Any, array: Any, first: Any) -> Any:
+    """Eight numbers of an (N,) array, from the first on."""
 
     def generate(context, build, signature, values):
-        result = ir.Constant(_vector(types.float64), ir.Undefined)
+        return build.load(_run(context, build, signature.args[0], *values), align=4)
+
+    return _LanesType(array.dtype)(array, types.intp), generate
+
+
+@intrinsic
+def store_run(typing: Any, array: Any, first: Any, lanes: Any) -> Any:
+    """Write eight numbers of an (N,) array."""
+
+    def generate(context, build, signature, values):
+        build.store(values[2], _run(context, build, signature.args[0], *values[:2]), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, lanes), generate
+
+
+@intrinsic
+def fill(typing: Any, value: Any) -> Any:
+    """Return a float32 or float64 value in every lane."""
+
+    def generate(context, build, signature, values):
+        result = ir.Constant(_vector(signature.args[0]), ir.Undefined)
         for lane in range(_COUNT):
             result = build.insert_element(result, values[0], ir.Constant(ir.IntType(32), lane))
         return result
 
-    return _LanesType(types.float64)(types.float64), generate
+    number = types.float32 if value == types.float32 else types.float64
+    return _LanesType(number)(number), generate
 
 
 @intrinsic

@@ -21,13 +21,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mibvh._jit import njit
+from mibvh.builders import lanes
 from mibvh.builders.measured import cost_of
 from mibvh.builders.simd import (
-    between,
     grid,
     lane,
+    last_cells,
     load,
+    load_last_vertex,
     load_point,
+    load_vertex,
     nothing,
     store,
     union,
@@ -52,13 +55,15 @@ class Bins(NamedTuple):
     rows: Any  #: (R,) uint32: references across planes
     bounds: Any  #: (3,) float32: least cost on each axis
     spans: Any  #: (3, 2) int64: first and last plane that may pay
+    sections: Any  #: (6 (B + 8) + 8,) float32: least x, -x, y, -y, z, -z, and 0 to 7
     halves: Any  #: (3, 8) float32: boxes of a split's left and right side, and of both
     parts: Any  #: (2, A, 8) float32: left and right parts of cut references
 
 
-@njit
-def new_bins(most, references, added):
+def new_bins(most: int, references: int, added: int) -> Bins:
     """Scratch for so many bins, and for nodes of so many references, some of them added."""
+    sections = np.empty(6 * (most + 8) + 8, np.float32)
+    sections[-8:] = range(8)
     return Bins(
         np.empty((3 * most, 8), np.float32),
         np.empty((3 * most, 8), np.float32),
@@ -72,6 +77,7 @@ def new_bins(most, references, added):
         np.empty(references, np.uint32),
         np.empty(3, np.float32),
         np.empty((3, 2), np.int64),
+        sections,
         np.empty((3, 8), np.float32),
         np.empty((2, added, 8), np.float32),
     )
@@ -88,27 +94,6 @@ def _set_frame(origin, extent, count, frame):
         frame[1, k], frame[1, k + 4] = -inverse, -inverse
         frame[2, k], frame[2, k + 4] = 1 - count, 1
         frame[3, k], frame[3, k + 4] = 0, count
-
-
-@njit(allocates=False)
-def _span(cells, k):
-    """First and last bin of a box on an axis; one that ends at a plane is not in the bin behind."""
-    first = -lane(cells, k)
-    return first, max(lane(cells, k + 4) - 1, first)
-
-
-@njit(allocates=False)
-def _enter_point(point, cells, x, y, z, on_y, on_z, bin_box):
-    """Enter a corner of a reference that is in bins x, y and z (each the first and the last).
-
-    Where these are one bin, it has the reference's box, and so the corner, already.
-    """
-    if x[0] < x[1]:
-        widen(bin_box, min(max(-lane(cells, 0), x[0]), x[1]), point)
-    if y[0] < y[1]:
-        widen(bin_box, on_y + min(max(-lane(cells, 1), y[0]), y[1]), point)
-    if z[0] < z[1]:
-        widen(bin_box, on_z + min(max(-lane(cells, 2), z[0]), z[1]), point)
 
 
 @njit(allocates=False, forceinline=True)
@@ -154,60 +139,108 @@ def _enter_all(
             store(bin_cut, e, nothing())
             begins[e] = 0
             ends[e] = 0
-    origin, factor, least, greatest = load(frame, 0), load(frame, 1), load(frame, 2), load(frame, 3)
+    to_bins = load(frame, 0), load(frame, 1), load(frame, 2), load(frame, 3)
     ids = lists.view(np.int32)
     whole_triangles = np.int32(len(corners)) + ID_ZERO
     on_y, on_z = most, 2 * most
-    across, last = 0, first + n - 1
+    across, end = 0, first + n - 1
     for row in range(first, first + n):
-        expect(corners, np.int64(ids[min(row + AHEAD, last), 7] - ID_ZERO))
+        expect(corners, np.int64(ids[min(row + AHEAD, end), 7] - ID_ZERO))
         box = load(lists, row)
-        cells = grid(box, origin, factor, least, greatest)
-        x, y, z = _span(cells, 0), _span(cells, 1), _span(cells, 2)
-        begins[x[0]] += 1
-        ends[x[1]] += 1
-        begins[on_y + y[0]] += 1
-        ends[on_y + y[1]] += 1
-        begins[on_z + z[0]] += 1
-        ends[on_z + z[1]] += 1
-        if x[0] == x[1]:
-            widen(bin_box, x[0], box)
-        if y[0] == y[1]:
-            widen(bin_box, on_y + y[0], box)
-        if z[0] == z[1]:
-            widen(bin_box, on_z + z[0], box)
-        if x[0] == x[1] and y[0] == y[1] and z[0] == z[1]:
+        lower = grid(box, to_bins[0], to_bins[1], to_bins[2], to_bins[3])
+        upper = last_cells(lower)
+        x, y, z = -lane(lower, 0), on_y - lane(lower, 1), on_z - lane(lower, 2)
+        x1, y1, z1 = -lane(upper, 0), on_y - lane(upper, 1), on_z - lane(upper, 2)
+        begins[x] += 1
+        begins[y] += 1
+        begins[z] += 1
+        ends[x1] += 1
+        ends[y1] += 1
+        ends[z1] += 1
+        if x == x1 and y == y1 and z == z1:
+            widen(bin_box, x, box)
+            widen(bin_box, y, box)
+            widen(bin_box, z, box)
             continue
         rows[across] = row
         across += 1
         triangle = np.int64(ids[row, 7] - ID_ZERO)
         if ids[row, 3] < whole_triangles:
-            for i in range(3):
-                point = load_point(corners, 3 * triangle + i, scale)
-                at = grid(point, origin, factor, least, greatest)
-                _enter_point(point, at, x, y, z, on_y, on_z, bin_box)
+            p = load_vertex(corners, 3 * triangle, scale)
+            q = load_vertex(corners, 3 * triangle + 1, scale)
+            r = load_last_vertex(corners, 3 * triangle + 2, scale)
+            at_p = grid(p, to_bins[0], to_bins[1], upper, lower)
+            at_q = grid(q, to_bins[0], to_bins[1], upper, lower)
+            at_r = grid(r, to_bins[0], to_bins[1], upper, lower)
+            if x == x1:
+                widen(bin_box, x, box)
+            else:
+                widen(bin_box, -lane(at_p, 0), p)
+                widen(bin_box, -lane(at_q, 0), q)
+                widen(bin_box, -lane(at_r, 0), r)
+            if y == y1:
+                widen(bin_box, y, box)
+            else:
+                widen(bin_box, on_y - lane(at_p, 1), p)
+                widen(bin_box, on_y - lane(at_q, 1), q)
+                widen(bin_box, on_y - lane(at_r, 1), r)
+            if z == z1:
+                widen(bin_box, z, box)
+            else:
+                widen(bin_box, on_z - lane(at_p, 2), p)
+                widen(bin_box, on_z - lane(at_q, 2), q)
+                widen(bin_box, on_z - lane(at_r, 2), r)
             continue
+        # Clipping rounds, so a bin that has all of a part is given its box.
+        if x == x1:
+            widen(bin_box, x, box)
+        if y == y1:
+            widen(bin_box, y, box)
+        if z == z1:
+            widen(bin_box, z, box)
         size = _clipped_triangle(corners, triangle, scale, lists, row, polygon, spare, points)
         for i in range(size):
             point = load(points, i)
-            at = grid(point, origin, factor, least, greatest)
-            _enter_point(point, at, x, y, z, on_y, on_z, bin_box)
+            at = grid(point, to_bins[0], to_bins[1], upper, lower)
+            if x < x1:
+                widen(bin_box, -lane(at, 0), point)
+            if y < y1:
+                widen(bin_box, on_y - lane(at, 1), point)
+            if z < z1:
+                widen(bin_box, on_z - lane(at, 2), point)
     return across
 
 
 @njit(allocates=False)
-def _enter_crossing(p, x, a, q, q_x, b, begin, end, origin, width, base, bin_cut):
-    """Enter where an edge from bin a to bin b crosses the planes from ``begin`` to ``end``."""
-    if a == b:
-        return
-    # From the lower end, so that triangles with a common edge are cut at one point.
-    low, low_x, low_bin, high_bin = (p, x, a, b) if a < b else (q, q_x, b, a)
-    high = q if a < b else p
-    per = np.float32(1) / abs(q_x - x)
-    for e in range(max(low_bin + 1, begin), min(high_bin, end) + 1):
-        share = (origin + np.float32(e) * width - low_x) * per
-        share = min(max(share, np.float32(0)), np.float32(1))
-        widen(bin_cut, base + e, between(low, high, share))
+def _enter_crossing(points, p, q, axis, begin, end, origin, width, room, sections):
+    """Enter where an edge crosses the planes from ``begin`` to ``end``, eight at a time.
+
+    The edge goes from corner p to corner q, of which p is in a lower bin: triangles with a
+    common edge are cut at one point.
+    """
+    first, per = points[p, axis], np.float32(1) / (points[q, axis] - points[p, axis])
+    zero, full = lanes.fill(np.float32(0)), lanes.fill(np.float32(1))
+    never = lanes.fill(np.float32(np.inf))
+    number = lanes.add(lanes.fill(np.float32(begin)), lanes.load_run(sections, 6 * room))
+    last = lanes.fill(np.float32(end))
+    while begin <= end:
+        plane = lanes.add(lanes.fill(origin), lanes.multiply(number, lanes.fill(width)))
+        share = lanes.multiply(lanes.subtract(plane, lanes.fill(first)), lanes.fill(per))
+        share = lanes.least(lanes.greatest(share, zero), full)
+        at = begin
+        for k in range(3):
+            x = lanes.fill(points[p, k])
+            step = lanes.fill(points[q, k] - points[p, k])
+            x = lanes.add(x, lanes.multiply(share, step))
+            # Planes beyond the last one stay as they are.
+            low = lanes.where_at_most(number, last, x, never)
+            high = lanes.where_at_most(number, last, lanes.subtract(zero, x), never)
+            lanes.store_run(sections, at, lanes.least(low, lanes.load_run(sections, at)))
+            at += room
+            lanes.store_run(sections, at, lanes.least(high, lanes.load_run(sections, at)))
+            at += room
+        begin += 8
+        number = lanes.add(number, lanes.fill(np.float32(8)))
 
 
 @njit(allocates=False)
@@ -235,19 +268,23 @@ def _chop_all(
     spare,
     points,
     rows,
+    sections,
 ):
     """Enter the sections of a node's references at the planes ``begin`` to ``end`` of an axis."""
     ids = lists.view(np.int32)
     whole_triangles = np.int32(len(corners)) + ID_ZERO
     to_bins = load(frame, 0), load(frame, 1), load(frame, 2), load(frame, 3)
     width, inverse = extent / np.float32(count), np.float32(count) / extent
-    base = axis * most
+    base, room = axis * most, len(sections) // 6 - 1
+    for k in range(6):
+        for e in range(begin, end + 1):
+            sections[k * room + e] = np.inf
     for i in range(across):
         row = np.int64(rows[i])
         ahead = np.int64(rows[min(i + AHEAD, across - 1)])
         expect(corners, np.int64(ids[ahead, 7] - ID_ZERO))
-        cells = grid(load(lists, row), to_bins[0], to_bins[1], to_bins[2], to_bins[3])
-        first, last = _span(cells, axis)
+        lower = grid(load(lists, row), to_bins[0], to_bins[1], to_bins[2], to_bins[3])
+        first, last = -lane(lower, axis), -lane(last_cells(lower), axis)
         if max(first + 1, begin) > min(last, end):
             continue
         triangle, size = np.int64(ids[row, 7] - ID_ZERO), 3
@@ -259,13 +296,22 @@ def _chop_all(
             size = _clipped_triangle(corners, triangle, scale, lists, row, polygon, spare, points)
         if size == 0:
             continue
-        p, x = load(points, size - 1), points[size - 1, axis]
-        a = _bin_of(x, origin, inverse, first, last)
-        for j in range(size):
-            q, q_x = load(points, j), points[j, axis]
-            b = _bin_of(q_x, origin, inverse, first, last)
-            _enter_crossing(p, x, a, q, q_x, b, begin, end, origin, width, base, bin_cut)
-            p, x, a = q, q_x, b
+        p = size - 1
+        a = _bin_of(points[p, axis], origin, inverse, first, last)
+        for q in range(size):
+            b = _bin_of(points[q, axis], origin, inverse, first, last)
+            low, high = (p, q) if a < b else (q, p)
+            from_plane, to_plane = max(min(a, b) + 1, begin), min(max(a, b), end)
+            if from_plane <= to_plane:
+                _enter_crossing(
+                    points, low, high, axis, from_plane, to_plane, origin, width, room, sections
+                )
+            p, a = q, b
+    for e in range(begin, end + 1):
+        for k in range(3):
+            x, y = sections[2 * k * room + e], sections[(2 * k + 1) * room + e]
+            bin_cut[base + e, k] = min(bin_cut[base + e, k], x)
+            bin_cut[base + e, k + 4] = min(bin_cut[base + e, k + 4], y)
 
 
 @njit(allocates=False)
@@ -442,6 +488,7 @@ def best_plane(measure, corners, scale, lists, first, n, slack, count, whole, li
             bins.spare,
             bins.points,
             bins.rows,
+            bins.sections,
         )
         cost, at, _, _ = _sweep_planes(
             measure,

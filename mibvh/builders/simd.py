@@ -147,6 +147,48 @@ def load_point(typing: Any, points: Any, row: Any, factor: Any) -> Any:
     return _box(points, types.intp, types.float64), generate
 
 
+def _load_vertex(context: Any, build: Any, signature: Any, values: Any, before: int) -> Any:
+    """Four floats from ``before`` in front of a vertex, of which three are it."""
+    data = context.make_array(signature.args[0])(context, build, values[0]).data
+    start = build.mul(values[1], ir.Constant(values[1].type, 3))
+    start = build.sub(start, ir.Constant(start.type, before))
+    pointer = build.bitcast(build.gep(data, [start]), ir.VectorType(_FLOAT, 4).as_pointer())
+    found = build.load(pointer)
+    found.align = 4
+    order = [before, before + 1, before + 2, 3 - 3 * before] * 2
+    found = build.shuffle_vector(found, found, ir.Constant(ir.VectorType(_INT, 8), order))
+    factor = build.fptrunc(values[2], _FLOAT)
+    factors = ir.Constant(_VECTOR, ir.Undefined)
+    for lane in range(8):
+        factors = build.insert_element(factors, factor, _constant(lane))
+    signs = ir.Constant(_VECTOR, [1.0] * 4 + [-1.0] * 4)
+    return build.fmul(found, build.fmul(factors, signs))
+
+
+@intrinsic
+def load_vertex(typing: Any, corners: Any, vertex: Any, factor: Any) -> Any:
+    """Return a triangle's first or second vertex, times a float64 ``factor``, as a point.
+
+    ``corners`` is an (N, 3, 3) float32 mesh, ``vertex`` counts all vertices, and the factor is a
+    power of two that float32 holds. The spare lanes have a coordinate of the next vertex.
+    """
+
+    def generate(context, build, signature, values):
+        return _load_vertex(context, build, signature, values, 0)
+
+    return _box(corners, types.intp, types.float64), generate
+
+
+@intrinsic
+def load_last_vertex(typing: Any, corners: Any, vertex: Any, factor: Any) -> Any:
+    """Return a triangle's third vertex likewise; the spare lanes are of the one before."""
+
+    def generate(context, build, signature, values):
+        return _load_vertex(context, build, signature, values, 1)
+
+    return _box(corners, types.intp, types.float64), generate
+
+
 @intrinsic
 def prefetch(typing: Any, array: Any, element: Any) -> Any:
     """Ask for the cache line of an element of a contiguous array, by its place in memory."""
@@ -269,6 +311,22 @@ def grid(typing: Any, box: Any, origin: Any, factor: Any, least: Any, greatest: 
         return build.select(build.fcmp_ordered("<", cells, values[4]), cells, values[4])
 
     return _box(box, origin, factor, least, greatest), generate
+
+
+@intrinsic
+def last_cells(typing: Any, cells: Any) -> Any:
+    """Return minus the last cell that a box is in, in the lower lanes, from its :func:`grid`.
+
+    A box that ends where a cell begins is not in it, but in the cell before.
+    """
+
+    def generate(context, build, signature, values):
+        lanes = ir.Constant(ir.VectorType(_INT, 8), [4, 5, 6, 7, 0, 1, 2, 3])
+        ends = build.shuffle_vector(values[0], values[0], lanes)
+        last = build.fsub(ir.Constant(_VECTOR, [1.0] * 8), ends)
+        return build.select(build.fcmp_ordered("<", last, values[0]), last, values[0])
+
+    return _box(cells), generate
 
 
 @intrinsic

@@ -35,6 +35,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import threading
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,20 +45,23 @@ from mibvh._jit import njit
 from mibvh.builders.draft import Draft, References
 from mibvh.builders.measured import cost_of
 from mibvh.builders.options import Options, option
-from mibvh.builders.planes import best_plane, new_bins
+from mibvh.builders.planes import Bins, best_plane, new_bins
 from mibvh.builders.registry import Context, builder
 from mibvh.builders.simd import half_area, load, nothing, store, union
 from mibvh.builders.spatial_split import cut_node, part_at_plane
 from mibvh.builders.sweep import ID_ZERO, SMALL, best_split, part, sort_axes
 from mibvh.measures.boxes import of_boxes, of_corners
 from mibvh.parallel import run_tasks, thread_count
-from mibvh.triangles import Triangles
+from mibvh.triangles import F32, I32, Triangles
 
 #: No spatial splits below this depth: they could go on for ever.
 _SPATIAL_DEPTH = 48
 
 #: Nodes of more references are split one at a time, so that threads can share the rest.
 _TASK = 16384
+
+#: While they are, there is room in the lists for one reference more per so many.
+_FREE_SHARE = 4
 
 #: A node of n references has ``_FEWEST_BINS + _BINS_PER_REFERENCE * n`` bins, up to the
 #: number asked for: cutting three triangles at 127 planes finds nothing that 20 do not.
@@ -103,11 +107,11 @@ def _needs_at_plane(lists, first, n, axis, plane):
 
 
 @njit(allocates=False)
-def _overlap(measure, halves):
-    """Measure of the box in which two boxes overlap; -1 if they are apart."""
-    x0, x1 = max(halves[0, 0], halves[1, 0]), -max(halves[0, 4], halves[1, 4])
-    y0, y1 = max(halves[0, 1], halves[1, 1]), -max(halves[0, 5], halves[1, 5])
-    z0, z1 = max(halves[0, 2], halves[1, 2]), -max(halves[0, 6], halves[1, 6])
+def _overlap(measure, boxes, a, b):
+    """Measure of the box in which the boxes of two rows overlap; -1 if they are apart."""
+    x0, x1 = max(boxes[a, 0], boxes[b, 0]), -max(boxes[a, 4], boxes[b, 4])
+    y0, y1 = max(boxes[a, 1], boxes[b, 1]), -max(boxes[a, 5], boxes[b, 5])
+    z0, z1 = max(boxes[a, 2], boxes[b, 2]), -max(boxes[a, 6], boxes[b, 6])
     x, y, z = x1 - x0, y1 - y0, z1 - z0
     if x >= 0 and y >= 0 and z >= 0:
         if measure is None:
@@ -116,7 +120,7 @@ def _overlap(measure, halves):
     return np.float32(-1)
 
 
-@njit(allocates=False)
+@njit(allocates=False, inline="always")
 def _plane_for(measure, corners, scale, lists, first, n, slack, limit, rules, halves, bins):
     """Look for a plane cheaper than the object split, and than a leaf.
 
@@ -138,17 +142,17 @@ def _plane_for(measure, corners, scale, lists, first, n, slack, limit, rules, ha
     return -2 if axis < 0 and leaf_wins else axis, plane
 
 
-@njit(allocates=False)
+@njit(allocates=False, inline="always")
 def _split_node(measure, corners, scale, rules, lists, side, areas, task, children, tally, bins):
     """Split one node; write its children, the larger one first, as tasks.
 
     Returns
     -------
-    int
-        How many of the node's places in the tree are the left child's.
+    bool
+        False if there was no room in the lists, and nothing was written.
     """
-    begin, n, slack, first_id, node = task[0], task[1], task[2], task[3], task[4]
-    depth, may_cut, half = task[5], task[6], task[7]
+    begin, n, slack, first_id, number = task[0], task[1], task[2], task[3], task[4]
+    depth, may_cut, half, free = task[5], task[6], task[7], task[8]
     least_overlap = rules[1]
     halves, parts = bins.halves, bins.parts
     total = len(lists) // 6
@@ -165,7 +169,7 @@ def _split_node(measure, corners, scale, rules, lists, side, areas, task, childr
         store(halves, 1, _box_of(lists, row + at, n - at))
         left_may = cost_of(measure, load(halves, 0)) >= least_overlap
         right_may = cost_of(measure, load(halves, 1)) >= least_overlap
-        if _overlap(measure, halves) >= least_overlap:
+        if _overlap(measure, halves, 0, 1) >= least_overlap:
             tally[0] += 1
             plane_axis, plane = _plane_for(
                 measure, corners, scale, lists, source, n, slack, cost, rules, halves, bins
@@ -198,6 +202,9 @@ def _split_node(measure, corners, scale, rules, lists, side, areas, task, childr
             else:
                 plane_axis = -1
     room = slack - added
+    free -= added
+    if free < 0:
+        return False
     left_room = room if left_may else 0
     if room > 0 and left_may == right_may:
         if plane_axis >= 0:
@@ -207,7 +214,8 @@ def _split_node(measure, corners, scale, rules, lists, side, areas, task, childr
             row = source + axis * total
             left, right = _need(lists, row, at), _need(lists, row + at, n - at)
         left_room = np.int64(room * (left / (left + right))) if left + right > 0 else room // 2
-    behind = n_left + left_room
+    left_free = left_room if free >= room else free * n_left // (n_left + n_right)
+    behind = n_left + left_free
     if plane_axis >= 0:
         part_at_plane(
             lists, source, target, target + behind, total, n, plane_axis, plane, added, side, parts
@@ -223,31 +231,38 @@ def _split_node(measure, corners, scale, rules, lists, side, areas, task, childr
             axis,
             np.uint64(at),
         )
-    a = 0 if behind > n_right + room - left_room else 1
-    b = 1 - a
-    children[a, 0], children[b, 0] = begin, begin + behind
-    children[a, 1], children[b, 1] = n_left, n_right
-    children[a, 2], children[b, 2] = left_room, room - left_room
+    children[0, 0], children[1, 0] = begin, begin + behind
+    children[0, 1], children[1, 1] = n_left, n_right
+    children[0, 2], children[1, 2] = left_room, room - left_room
     # A cut takes two ids: both parts are new.
-    children[a, 3], children[b, 3] = first_id + 2 * added, first_id + 2 * (added + left_room)
-    # A node with room for R references owns 2 R - 1 places in the tree.
-    children[a, 4], children[b, 4] = node + 1, node + 2 * behind
-    children[a, 5], children[b, 5] = depth + 1, depth + 1
-    children[a, 6], children[b, 6] = left_may, right_may
-    children[a, 7], children[b, 7] = 1 - half, 1 - half
-    return 2 * behind
+    children[0, 3], children[1, 3] = first_id + 2 * added, first_id + 2 * (added + left_room)
+    # A node with room for R references has 2 R - 1 numbers.
+    children[0, 4], children[1, 4] = number + 1, number + 2 * (n_left + left_room)
+    children[0, 5], children[1, 5] = depth + 1, depth + 1
+    children[0, 6], children[1, 6] = left_may, right_may
+    children[0, 7], children[1, 7] = 1 - half, 1 - half
+    children[0, 8], children[1, 8] = left_free, free - left_free
+    return True
 
 
-class Links(NamedTuple):
-    """The tree, (2 R - 1,) int32 each; a leaf's reference is a row of the lists."""
-
-    left: Any
-    right: Any
-    reference: Any
-
-
-@njit
-def _run(measure, corners, scale, rules, lists, side, links, task, once, children, tally):
+@njit(allocates=False)
+def _run(
+    measure,
+    corners,
+    scale,
+    rules,
+    side,
+    lists,
+    right,
+    leaves,
+    areas,
+    stack,
+    bins,
+    task,
+    once,
+    children,
+    tally,
+):
     """Build all below a node, or split it only once.
 
     Parameters
@@ -259,88 +274,220 @@ def _run(measure, corners, scale, rules, lists, side, links, task, once, childre
     rules : (int, float32, float, int)
         Number of bins, least overlap in builder units, cost of a triangle (that of an inner
         node being 1), and most triangles of a leaf.
-    lists : (6 R, 8) float32
-        Both sets of the three lists, with room for R references.
     side : (N + 2 (R - N),) uint8
         Scratch: where references across a plane go.
-    links : Links
-        Written at the node, and below it.
-    task : (8,) int64
+    lists : (6 R, 8) float32
+        Both sets of the three lists, with room for R references.
+    right : (2 R - 1,) int32
+        Written: the nodes, each left subtree behind its parent, by their right children; -1 for
+        a leaf.
+    leaves : (R, 8) float32
+        Written: the leaves' references.
+    areas : (max(R, 3 SMALL),) float32; stack : (R + 1, 10) int64; bins : Bins
+        Scratch; a row of the stack is enough for one split.
+    task : (9,) int64
         The node: first place in the lists, number of references, how many may be added,
-        first new id, place in the tree, depth, whether spatial splits are allowed, and in
-        which set of lists it is.
+        first new id, number in the tree, depth, whether spatial splits are allowed, in
+        which set of lists it is, and how many places there are free for it.
     once : bool
-        Whether to stop after one split; its results are in ``children``, (2, 8) int64.
+        Whether to stop after one split; its results are in ``children``, (2, 9) int64.
     tally : (2,) int64
         Counts the nodes where a spatial split was looked for, and where one was made.
+
+    Returns
+    -------
+    int
+        How many nodes were written, or split; 0 if there was no room in the lists.
     """
-    left, right, reference = links
-    most = task[1] + task[2]
-    bins = new_bins(rules[0], most, task[2])
-    areas = np.empty(max(most, 3 * SMALL), np.float32)
-    total = len(lists) // 6
-    # The child with less room goes first, so that few wait.
-    stack = np.empty((128, 8), np.int64)
+    half = len(lists) // 2
     # Item by item: Numba takes two seconds to compile what it would say of slices.
-    for k in range(8):
+    for k in range(9):
         stack[0, k] = task[k]
-    top = 1
+    stack[0, 9] = -1
+    # Left children go first, so that nodes are written in order; right ones wait, with their
+    # parents.
+    top, node, leaf = 1, 0, 0
     while top > 0:
         top -= 1
-        node = stack[top, 4]
-        if stack[top, 1] == 1:
-            reference[node] = stack[top, 0] + 3 * total * stack[top, 7]
+        begin, n, parent = stack[top, 0], stack[top, 1], stack[top, 9]
+        if parent >= 0:
+            right[parent] = node
+        row = begin + half * stack[top, 7]
+        if n == 1:
+            store(leaves, leaf, load(lists, row))
+            right[node] = -1
+            node, leaf = node + 1, leaf + 1
             continue
-        behind = _split_node(
+        if n == 2 and not once:
+            # Half of all nodes. Of object splits, that on the first axis is taken.
+            may_cut = stack[top, 6] and stack[top, 2] > 0 and stack[top, 5] < _SPATIAL_DEPTH
+            if not may_cut or _overlap(measure, lists, row, row + 1) < rules[1]:
+                store(leaves, leaf, load(lists, row))
+                store(leaves, leaf + 1, load(lists, row + 1))
+                right[node], right[node + 1], right[node + 2] = node + 2, -1, -1
+                node, leaf = node + 3, leaf + 2
+                continue
+        if not _split_node(
             measure, corners, scale, rules, lists, side, areas, stack[top], children, tally, bins
-        )
-        left[node], right[node] = node + 1, node + behind
+        ):
+            return 0
         if once:
-            return
-        for k in range(8):
-            stack[top, k], stack[top + 1, k] = children[0, k], children[1, k]
+            return 1
+        for k in range(9):
+            stack[top, k], stack[top + 1, k] = children[1, k], children[0, k]
+        stack[top, 9], stack[top + 1, 9] = node, -1
+        node += 1
         top += 2
+    return node
 
 
-@njit
-def _compact(left, right, reference, lists):
-    """Close the gaps that unused room left; number references as the leaves come."""
-    number = np.empty(len(left), np.int32)
-    nodes, leaves = 0, 0
-    for i in range(len(left)):
-        number[i] = nodes
-        nodes += left[i] >= 0 or reference[i] >= 0
-        leaves += reference[i] >= 0
-    links = np.full((3, nodes), -1, np.int32)
-    lower, upper = np.empty((leaves, 3), np.float32), np.empty((leaves, 3), np.float32)
-    triangle = np.empty(leaves, np.int32)
-    ids = lists.view(np.int32)
-    leaf = 0
-    for i in range(len(left)):
-        if left[i] >= 0:
-            links[0, number[i]] = number[left[i]]
-            links[1, number[i]] = number[right[i]]
-        elif reference[i] >= 0:
-            row = reference[i]
-            links[2, number[i]] = leaf
-            for k in range(3):
-                lower[leaf, k] = lists[row, k]
-                upper[leaf, k] = -lists[row, k + 4]
-            triangle[leaf] = ids[row, 7] - ID_ZERO
-            leaf += 1
-    return links, lower, upper, triangle
+@njit(allocates=False)
+def _place(right, leaves, node, leaf, links, lower, upper, triangle):
+    """Put the nodes of a subtree and their references where they belong in the draft."""
+    ids = leaves.view(np.int32)
+    at = leaf
+    for i in range(len(right)):
+        inner = right[i] >= 0
+        links[0, node + i] = node + i + 1 if inner else -1
+        links[1, node + i] = node + right[i] if inner else -1
+        links[2, node + i] = -1 if inner else at
+        at += 0 if inner else 1
+    for i in range(len(leaves)):
+        for k in range(3):
+            lower[leaf + i, k] = leaves[i, k]
+            upper[leaf + i, k] = -leaves[i, k + 4]
+        triangle[leaf + i] = ids[i, 7] - ID_ZERO
 
 
-def _build(scene: tuple[Any, ...], root: npt.NDArray[np.int64], context: Context) -> list[int]:
-    """Run tasks on all threads; return the tally."""
-    tallies = []
+class _Scratch(NamedTuple):
+    """What nodes are split in, with room for R references; arguments of :func:`_run`.
+
+    Pages of it that are not written cost nothing.
+    """
+
+    lists: Any  #: (6 R, 8) float32
+    right: Any  #: (2 R,) int32
+    leaves: Any  #: (R, 8) float32
+    areas: Any  #: (max(R, 3 SMALL),) float32
+    stack: Any  #: (R + 1, 10) int64
+    bins: Bins
+
+    @classmethod
+    def of(cls, count: int, n: int, slack: int) -> _Scratch:
+        """Make it for a subtree of n references and so many more, with so many bins."""
+        room = n + slack
+        return cls(
+            np.empty((6 * room, 8), np.float32),
+            np.empty(2 * room, np.int32),
+            np.empty((room, 8), np.float32),
+            np.empty(max(room, 3 * SMALL), np.float32),
+            # Only a chain has as many nodes waiting.
+            np.empty((room + 1, 10), np.int64),
+            new_bins(count, room, slack),
+        )
+
+    @classmethod
+    def around(cls, lists: F32, count: int, n: int, slack: int) -> _Scratch:
+        """Make it for one split of a node that is in lists already."""
+        return cls(
+            lists,
+            np.empty(0, np.int32),
+            np.empty((0, 8), np.float32),
+            np.empty(max(n, 3 * SMALL), np.float32),
+            np.empty((1, 10), np.int64),
+            new_bins(count, n, slack),
+        )
+
+    def holds(self, n: int, slack: int) -> bool:
+        """Whether there is room for a subtree."""
+        return n + slack <= len(self.leaves) and slack <= self.bins.parts.shape[1]
+
+    def copy(self, lists: F32, task: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Take over a node's lists; return its task here."""
+        begin, n, slack, half = task[0], task[1], task[2], task[7]
+        total, room = len(lists) // 6, len(self.lists) // 6
+        for k in range(3):
+            first = begin + (3 * half + k) * total
+            self.lists[k * room : k * room + n] = lists[first : first + n]
+        here = task.copy()
+        here[0], here[7], here[8] = 0, 0, slack
+        return here
+
+
+class _Pieces:
+    """What the tree is put together from: nodes that were split, and finished subtrees."""
+
+    def __init__(self) -> None:
+        self.right_of: dict[int, int] = {}  #: by number, that of the right child
+        self.subtrees: dict[int, tuple[I32, F32]] = {}  #: by number, nodes and leaves
+        self.tally = np.zeros(2, np.int64)
+
+    def joined(self) -> tuple[I32, F32, F32, I32]:
+        """Links, bounds and triangles of the draft: nodes and leaves from left to right."""
+        order = sorted([*self.right_of, *self.subtrees])
+        place, nodes, leaves = {}, 0, 0
+        for number in order:
+            place[number] = nodes, leaves
+            right, below = self.subtrees.get(number, (range(1), ()))
+            nodes, leaves = nodes + len(right), leaves + len(below)
+        links = np.empty((3, nodes), np.int32)
+        lower, upper = np.empty((leaves, 3), np.float32), np.empty((leaves, 3), np.float32)
+        triangle = np.empty(leaves, np.int32)
+        for number, (node, leaf) in place.items():
+            if number in self.right_of:
+                links[:, node] = node + 1, place[self.right_of[number]][0], -1
+            else:
+                _place(*self.subtrees.pop(number), node, leaf, links, lower, upper, triangle)
+        return links, lower, upper, triangle
+
+
+def _build(
+    scene: tuple[Any, ...],
+    lists: F32,
+    side: npt.NDArray[np.uint8],
+    root: npt.NDArray[np.int64],
+    context: Context,
+) -> _Pieces:
+    """Run tasks on all threads: large nodes are split in ``lists``, the others by subtrees.
+
+    Subtrees are built in memory that is used again: of the lists, where each part of the tree has
+    room of its own, most would be written once, and the system would have to clear all of it.
+    """
+    pieces, lock = _Pieces(), threading.Lock()
+    idle: list[_Scratch] = []
+    *_, rules = scene
+
+    def run(
+        scratch: _Scratch, task: npt.NDArray[np.int64], once: bool
+    ) -> tuple[int, npt.NDArray[np.int64]]:
+        children, tally = np.empty((2, 9), np.int64), np.zeros(2, np.int64)
+        used = _run(*scene, side, *scratch, task, once, children, tally)
+        if used:
+            with lock:
+                pieces.tally += tally
+        return used, children
+
+    def subtree(task: npt.NDArray[np.int64]) -> None:
+        n, slack = task[1:3].tolist()
+        with lock:
+            scratch = idle.pop() if idle else None
+        if scratch is None or not scratch.holds(n, slack):
+            scratch = _Scratch.of(rules[0], n, slack)
+        used, _ = run(scratch, scratch.copy(lists, task), False)
+        piece = scratch.right[:used].copy(), scratch.leaves[: (used + 1) // 2].copy()
+        with lock:
+            pieces.subtrees[int(task[4])] = piece
+            idle.append(scratch)
 
     def work(task: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
-        once = bool(task[1] > _TASK)
-        children, tally = np.empty((2, 8), np.int64), np.zeros(2, np.int64)
-        _run(*scene, task, once, children, tally)
-        tallies.append(tally)
-        return list(children) if once else []
+        n, slack = task[1:3].tolist()
+        if n > _TASK:
+            split, children = run(_Scratch.around(lists, rules[0], n, slack), task, True)
+            if split:
+                pieces.right_of[int(task[4])] = int(children[1, 4])
+                return list(children)
+        subtree(task)
+        return []
 
     run_tasks(
         work,
@@ -349,7 +496,7 @@ def _build(scene: tuple[Any, ...], root: npt.NDArray[np.int64], context: Context
         thread_count(),
         functools.partial(context.progress, "split"),
     )
-    return np.sum(tallies, axis=0).tolist()
+    return pieces
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -391,8 +538,9 @@ def sbvh(triangles: Triangles, options: SpatialOptions, context: Context) -> Dra
     refs = References.of(triangles)
     n, scale = len(refs), refs.scale
     slack = int(options.budget * n)
-    room = n + slack
-    lists = np.empty((6 * room, 8), np.float32)
+    # Few references are added in nodes so large that they are split in these lists.
+    free = min(slack, n // _FREE_SHARE)
+    lists = np.empty((6 * (n + free), 8), np.float32)
     context.progress("sort", 0.0)
     sort_axes(refs.lower, refs.upper, lists)
     low, high = refs.lower.min(axis=0), refs.upper.max(axis=0)
@@ -407,12 +555,12 @@ def sbvh(triangles: Triangles, options: SpatialOptions, context: Context) -> Dra
         options.c_tri / options.c_inner if options.c_inner > 0 else np.inf,
         options.max_leaf,
     )
-    links = Links(*np.full((3, 2 * room - 1), -1, np.int32))
     side = np.empty(n + 2 * slack, np.uint8)
-    root = np.array([0, n, slack, n, 0, 0, 1, 0], np.int64)
-    scene = (measure, triangles.corners, scale, rules, lists, side, links)
-    tried, made = _build(scene, root, context)
-    joined, lower, upper, owner = _compact(*links, lists)
+    root = np.array([0, n, slack, n, 0, 0, 1, 0, free], np.int64)
+    pieces = _build((measure, triangles.corners, scale, rules), lists, side, root, context)
+    del lists
+    tried, made = pieces.tally.tolist()
+    joined, lower, upper, owner = pieces.joined()
     return Draft(
         References(lower, upper, owner, scale),
         *joined,

@@ -202,7 +202,7 @@ def best_split(measure, lists, first, total, n, areas):
         )
         if extent > width:
             widest, width = axis, extent
-    best = (np.float32(np.inf), np.int64(n), 3, np.int64(0))
+    best = (np.float32(np.inf), np.int64(n), np.int64(3), np.int64(0))
     for step in range(3):
         axis = (widest + step) % 3
         best = _sweep(measure, lists, first + np.uint64(axis) * total, n, axis, best, areas)
@@ -225,7 +225,7 @@ def _best_split_small(measure, lists, first, total, n, areas):
         areas[three * at] = cost_of(measure, a) * rest
         areas[three * at + one] = cost_of(measure, b) * rest
         areas[three * at + two] = cost_of(measure, c) * rest
-    best = (np.float32(np.inf), np.int64(n), 3, np.int64(0))
+    best = (np.float32(np.inf), np.int64(n), np.int64(3), np.int64(0))
     a, b, c = nothing(), nothing(), nothing()
     for at in range(one, n):
         a = union(a, load(lists, x + at - one))
