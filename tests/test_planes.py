@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from conftest import clipped
+from cuts import CUTS, cut
 
 from mibvh import Triangles
 from mibvh.builders import get
@@ -61,14 +62,9 @@ def cheapest_plane(triangles, refs, rows, count):
     return costs
 
 
-@pytest.mark.parametrize(("seed", "size", "count"), [(0, 3, 20), (1, 12, 24), (2, 60, 24)])
-def test_best_plane_is_the_cheapest_of_all(seed, size, count):
-    """Whole triangles and parts that were cut before, mixed, as at a node deep in a tree."""
-    triangles = scene(80, seed)
-    refs = references_of(triangles, alpha=0.0)
-    times = np.bincount(refs.triangle, minlength=len(triangles))
-    assert times.max() > 1
-    rows = np.random.default_rng(seed).permutation(len(refs))[:size]
+def chosen_plane(triangles, refs, rows, count):
+    """(cost by axis and plane, what `best_plane` finds), of these references alone."""
+    size, times = len(rows), np.bincount(refs.triangle, minlength=len(triangles))
     lists = np.zeros((6 * size, 8), np.float32)
     lists[:size, 0:3], lists[:size, 4:7] = refs.lower[rows], -refs.upper[rows]
     ids = lists.view(np.int32)
@@ -90,10 +86,33 @@ def test_best_plane_is_the_cheapest_of_all(seed, size, count):
         np.float32(np.inf),
         new_bins(count, size, size),
     )
-    costs = cheapest_plane(triangles, refs, rows, count)
     width = (-whole[4 + axis] - whole[axis]) / count
-    found = costs[axis, round((float(plane) - float(whole[axis])) / float(width))]
-    assert found == pytest.approx(min(costs.values()), rel=1e-5)
+    at = round((float(plane) - float(whole[axis])) / float(width))
+    return cheapest_plane(triangles, refs, rows, count), (axis, at)
+
+
+@pytest.mark.parametrize(("seed", "size", "count"), [(0, 3, 20), (1, 12, 24), (2, 60, 24)])
+def test_best_plane_is_the_cheapest_of_all(seed, size, count):
+    """Whole triangles and parts that were cut before, mixed, as at a node deep in a tree."""
+    triangles = scene(80, seed)
+    refs = references_of(triangles, alpha=0.0)
+    assert np.bincount(refs.triangle).max() > 1
+    rows = np.random.default_rng(seed).permutation(len(refs))[:size]
+    costs, found = chosen_plane(triangles, refs, rows, count)
+    assert costs[found] == pytest.approx(min(costs.values()), rel=1e-5)
+
+
+@pytest.mark.parametrize("name", CUTS)
+@pytest.mark.parametrize("count", [20, 70])
+def test_best_plane_on_cuts_of_real_geometry(name, count):
+    """Neighbours in a split tree: edges cross few planes, or more than eight at a time."""
+    triangles, _ = cut(name, "sbvh")
+    refs = references_of(triangles)
+    split = np.flatnonzero(np.bincount(refs.triangle)[refs.triangle] > 1)
+    for middle in np.random.default_rng(count).choice(split, 4):
+        rows = np.arange(max(middle - 6, 0), min(middle + 6, len(refs)))
+        costs, found = chosen_plane(triangles, refs, rows, count)
+        assert costs[found] == pytest.approx(min(costs.values()), rel=1e-5)
 
 
 def test_parts_share_their_triangle_and_their_boxes_are_tight():

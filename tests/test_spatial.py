@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from cuts import cut
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,6 +13,7 @@ from mibvh import Triangles
 from mibvh.builders import get
 from mibvh.builders.finish import draft_sah
 from mibvh.builders.registry import Context
+from mibvh.builders.spatial import _Scratch
 
 COSTS = {"c_inner": 1.2, "c_tri": 1.0, "max_leaf": 8}
 ARRAYS = ("lower", "upper", "left", "first", "count", "references")
@@ -232,6 +234,20 @@ def test_the_size_of_tasks_does_not_matter(monkeypatch):
     whole = mibvh.build(triangles, "sbvh")
     monkeypatch.setattr("mibvh.builders.spatial._TASK", 10)
     assert same(whole, mibvh.build(triangles, "sbvh"))
+
+
+@pytest.mark.parametrize("name", ["pipes", "needles"])
+@pytest.mark.parametrize("share", [10**9, 20])
+def test_large_nodes_that_outgrow_their_lists_are_built_apart(monkeypatch, name, share):
+    """Without room in the lists, or with little, the tree is the same."""
+    triangles, _ = cut(name, "sbvh")
+    whole, sizes, make = mibvh.build(triangles, "sbvh"), [], _Scratch.of
+    assert whole.splits_triangles
+    monkeypatch.setattr("mibvh.builders.spatial._TASK", 10)
+    monkeypatch.setattr("mibvh.builders.spatial._FREE_SHARE", share)
+    monkeypatch.setattr(_Scratch, "of", lambda *size: sizes.append(size[1]) or make(*size))
+    assert same(whole, mibvh.build(triangles, "sbvh"))
+    assert max(sizes) > 10
 
 
 def test_progress_grows_to_one_and_may_interrupt(monkeypatch):
