@@ -36,6 +36,7 @@ import dataclasses
 import functools
 import math
 import threading
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -398,9 +399,9 @@ class _Scratch(NamedTuple):
             new_bins(count, n, slack),
         )
 
-    def holds(self, n: int, slack: int) -> bool:
-        """Whether there is room for a subtree."""
-        return n + slack <= len(self.leaves) and slack <= self.bins.parts.shape[1]
+    def holds(self, references: int, added: int) -> bool:
+        """Whether nodes of so many references, some of them added, can be split in it."""
+        return references <= len(self.bins.rows) and added <= self.bins.parts.shape[1]
 
     def copy(self, lists: F32, task: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """Take over a node's lists; return its task here."""
@@ -454,39 +455,35 @@ def _build(
     room of its own, most would be written once, and the system would have to clear all of it.
     """
     pieces, lock = _Pieces(), threading.Lock()
-    idle: list[_Scratch] = []
     *_, rules = scene
+    # What is idle, for subtrees and for large nodes.
+    idle: tuple[list[_Scratch], list[_Scratch]] = [], []
 
     def run(
-        scratch: _Scratch, task: npt.NDArray[np.int64], once: bool
-    ) -> tuple[int, npt.NDArray[np.int64]]:
-        children, tally = np.empty((2, 9), np.int64), np.zeros(2, np.int64)
-        used = _run(*scene, side, *scratch, task, once, children, tally)
-        if used:
-            with lock:
-                pieces.tally += tally
-        return used, children
-
-    def subtree(task: npt.NDArray[np.int64]) -> None:
-        n, slack = task[1:3].tolist()
+        task: npt.NDArray[np.int64], once: bool, references: int, make: Callable[..., _Scratch]
+    ) -> tuple[npt.NDArray[np.int64], tuple[I32, F32]]:
+        slack = int(task[2])
         with lock:
-            scratch = idle.pop() if idle else None
-        if scratch is None or not scratch.holds(n, slack):
-            scratch = _Scratch.of(rules[0], n, slack)
-        used, _ = run(scratch, scratch.copy(lists, task), False)
+            scratch = idle[once].pop() if idle[once] else None
+        if scratch is None or not scratch.holds(references, slack):
+            scratch = make(rules[0], int(task[1]), slack)
+        children, tally = np.empty((2, 9), np.int64), np.zeros(2, np.int64)
+        here = task if once else scratch.copy(lists, task)
+        used = _run(*scene, side, *scratch, here, once, children, tally)
         piece = scratch.right[:used].copy(), scratch.leaves[: (used + 1) // 2].copy()
         with lock:
-            pieces.subtrees[int(task[4])] = piece
-            idle.append(scratch)
+            pieces.tally += tally if used else 0
+            idle[once].append(scratch)
+        return children[: 2 * used], piece
 
     def work(task: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
-        n, slack = task[1:3].tolist()
+        n, slack, number = task[[1, 2, 4]].tolist()
         if n > _TASK:
-            split, children = run(_Scratch.around(lists, rules[0], n, slack), task, True)
-            if split:
-                pieces.right_of[int(task[4])] = int(children[1, 4])
+            children, _ = run(task, True, n, functools.partial(_Scratch.around, lists))
+            if len(children):
+                pieces.right_of[number] = int(children[1, 4])
                 return list(children)
-        subtree(task)
+        _, pieces.subtrees[number] = run(task, False, n + slack, _Scratch.of)
         return []
 
     run_tasks(
