@@ -23,11 +23,14 @@ Stages
    splits end. Object splits go on down to single references, and the common collapse
    (:mod:`mibvh.builders.finish`) makes the leaves, in which a triangle stands once.
 
-Memory and threads: a node owns a range of the lists with room for the references that may
-still be added below it, ids for their parts, and a range of the tree's nodes. Both halves
+Memory and threads: a node owns a range of the lists with places for the references that may
+still be added below it, ids for their parts, and a range of numbers in the tree. Both halves
 of a split get their share of that room: by the sizes of their references, or all of it where
-only one of them can use any. So nothing is allocated while building, subtrees are
-independent, and the tree does not depend on the number of threads.
+only one of them can use any. So subtrees are independent, and the tree does not depend on the
+number of threads. Large nodes are split in common lists, which have few places to spare;
+smaller ones, and those that need more places, are copied to lists of their own, whose memory
+is used again by the next. Subtrees write their nodes and leaves from left to right, and are put
+together in the end.
 """
 
 from __future__ import annotations
