@@ -250,20 +250,6 @@ def widen(typing: Any, array: Any, row: Any, box: Any) -> Any:
 
 
 @intrinsic
-def between(typing: Any, a: Any, b: Any, share: Any) -> Any:
-    """Return the point ``a + share * (b - a)``; points are boxes of no extent."""
-
-    def generate(context, build, signature, values):
-        shares = ir.Constant(_VECTOR, ir.Undefined)
-        for lane in range(8):
-            shares = build.insert_element(shares, values[2], _constant(lane))
-        step = build.fmul(shares, build.fsub(values[1], values[0]))
-        return build.fadd(values[0], step)
-
-    return _box(a, b, types.float32), generate
-
-
-@intrinsic
 def half_area(typing: Any, box: Any) -> Any:
     """Half the surface area: float32 ``dx * dy + (dx + dy) * dz``."""
 
