@@ -12,12 +12,14 @@ import stat
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numba
 from numba import types
 from numba.core.compiler import Compiler
 from numba.core.dispatcher import Dispatcher
+from numba.core.extending import _Intrinsic
 
 
 def njit(
@@ -31,8 +33,8 @@ def njit(
     ``allocates`` is false.
 
     Numba stamps a cached kernel with the file it stands in, and so keeps running an old
-    copy of a callee or a constant from another file that has changed since. A stale kernel
-    is a wrong number, so the stamp here covers those too.
+    copy of a callee, an intrinsic or a constant from another file that has changed since. A
+    stale kernel is a wrong number, so the stamp here covers those too.
 
     Compiled code is kept beside the source, or in the user's cache, or, where neither can be
     written, among the temporary files. ``NUMBA_CACHE_DIR`` names another place.
@@ -149,12 +151,31 @@ def _wide(kind: Any) -> Any:
 
 
 def _files(function: Callable[..., Any]) -> frozenset[str]:
-    """The function's own file, and those of all compiled functions that its file imports."""
+    """The function's own file, and those of all compiled functions that its file imports.
+
+    Intrinsics write instructions into the function as their own file says, and what that imports.
+    """
     files = {function.__code__.co_filename}
-    for value in function.__globals__.values():
-        if isinstance(value, Dispatcher):
-            files |= getattr(value, "mibvh_files", set())
-    return frozenset(files)
+    of_others: set[str] = set()
+    waiting = [function.__globals__]
+    while waiting:
+        names = waiting.pop()
+        files |= {names["__file__"]} if names.get("__file__") else set()
+        for value in names.values():
+            further = None
+            if isinstance(value, Dispatcher):
+                of_others |= getattr(value, "mibvh_files", set())
+            elif isinstance(value, _Intrinsic):
+                further = value._defn.__globals__
+            elif isinstance(value, ModuleType) and _of_one_package(value.__name__, names):
+                further = vars(value)
+            if further is not None and further.get("__file__", "") not in {"", *files}:
+                waiting.append(further)
+    return frozenset(files | of_others)
+
+
+def _of_one_package(module: str, names: dict[str, Any]) -> bool:
+    return module.partition(".")[0] == str(names["__name__"]).partition(".")[0]
 
 
 def _stamp(function: Callable[..., Any], files: frozenset[str]) -> Any:

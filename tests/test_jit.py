@@ -83,3 +83,39 @@ def test_a_cache_that_cannot_be_read_is_no_cache(tmp_path):
     for file in (tmp_path / "__pycache__").glob("*.nbc"):
         file.write_bytes(b"damaged")
     assert _run(tmp_path, use) == ["3.0", "1"]
+
+
+_INTRINSIC = """
+from numba import types
+from numba.extending import intrinsic
+@intrinsic
+def number(typingctx):
+    def generate(context, builder, signature, arguments):
+        return context.get_constant(types.int64, NUMBER)
+    return types.int64(), generate
+"""
+
+_BETWEEN = """
+from numba.extending import intrinsic
+from numbers_of_mine import number
+@intrinsic
+def passed_on(typingctx):
+    return number._defn(typingctx)
+"""
+
+_USER = """
+from mibvh._jit import njit
+from between import passed_on
+@njit
+def called():
+    return passed_on()
+"""
+
+
+def test_a_changed_intrinsic_is_compiled_anew(tmp_path):
+    """Also one that another file's intrinsic is made of."""
+    (tmp_path / "between.py").write_text(_BETWEEN)
+    (tmp_path / "user.py").write_text(_USER)
+    for number in (3, 44):
+        (tmp_path / "numbers_of_mine.py").write_text(_INTRINSIC.replace("NUMBER", str(number)))
+        assert _run(tmp_path, "import user; print(user.called())") == [str(number)]
