@@ -216,7 +216,10 @@ def test_what_is_saved_against_brute_force(builder):
 
 
 def test_occluded_rays_do_not_pay_for_overlap():
-    """In a closed room with thick layers of overlapping boxes, the predictor finds the cost."""
+    """In a closed room with thick layers of overlapping boxes, most of it is predicted.
+
+    What closest hits touch costs two thirds more; of that, less than a fourth remains.
+    """
     walls = closed_box(-2, 2, 6)
     inside = np.clip(soup(600, 1, 0.25).corners - [1.5, 0.5, 1.0], -1.9, 1.9)
     triangles = mibvh.Triangles(np.concatenate([walls, inside]).astype(np.float32))
@@ -228,8 +231,8 @@ def test_occluded_rays_do_not_pay_for_overlap():
     lines = mibvh.ray_lines(triangles, rays, closest)
     touched = mibvh.metrics.lines.line_costs(tree, lines, whole=False).mean()
     saved = saved_by_any_hit(tree, triangles, rays, closest)
-    assert touched > 1.12 * ended.counted_cost()
-    assert touched - saved == pytest.approx(ended.counted_cost(), rel=0.1)
+    assert touched > 1.6 * ended.counted_cost()
+    assert touched - saved == pytest.approx(ended.counted_cost(), rel=0.15)
 
 
 def test_estimates():
