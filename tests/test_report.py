@@ -177,6 +177,38 @@ def test_points_tell_what_they_are_and_text_is_text(small_study):
     assert root[-1].text == "<i>$x$"
 
 
+def test_many_trees_beyond_the_line_stay_in_their_scene():
+    trees = [
+        tree_row(str(i), counted_cost=cost, scalar_ns=100.0, scalar_error=0.1)
+        for i, cost in enumerate([10.0, *[40.0] * 12])
+    ]
+    sheet = winners([scene_record(trees, f"scene {i}") for i in range(2)])
+    second = sheet.parts[1].x
+    first = [mark.x for mark in sheet.marks if isinstance(mark, Dot) and "scene 0" in mark.tip]
+    assert len(first) == 13
+    assert max(first) + 5 < second
+
+
+def test_time_is_told_over_all_scenes(small_study):
+    """Of the best builder for all, relative to the second."""
+    ratios = (0.8, 0.9, 1.0, 0.9)
+    records = [
+        scene_record(
+            [
+                tree_row("a", counted_cost=1.0 + i / 10, scalar_ns=time, scalar_error=0.5),
+                tree_row("b", counted_cost=1.2, scalar_ns=1.0, scalar_error=0.5),
+            ],
+            f"scene {i}",
+        )
+        for i, time in enumerate(ratios)
+    ]
+    logs = np.log(ratios)
+    mean = np.exp(logs.mean())
+    error = mean * logs.std(ddof=1) / 2
+    told = next(o for o in answer(records, small_study.correlations) if o.startswith("One for all"))
+    assert f"In scalar time a takes {mean:.3f} ± {error:.3f} of b's" in told
+
+
 def test_the_winner_and_its_lead():
     costs = {"a": [10.0, 12.0, 8.0], "b": [11.0, 13.0, 9.0], "c": [20.0, 20.0, 20.0]}
     trees = [

@@ -17,8 +17,9 @@ _WINNERS, _STEP, _ABREAST = 300.0, 76.0, 3
 #: Where a row's line begins and ends, and the costs over the best beyond which trees stand in a
 #: row behind its end.
 _BEGIN, _END, _MOST = 12.0, 200.0, 0.6
-#: Where the first of the trees behind the end stands, and how far apart they are.
-_BEYOND, _APART = 230.0, 8.0
+#: Where the first of the trees behind the end stands, how far apart they are, and where the last
+#: stands at most.
+_BEYOND, _APART, _LAST = 230.0, 8.0, 288.0
 #: Costs over the best that are marked on the line.
 _MARKED = (0.0, 0.2, 0.4, 0.6)
 _GREY = "#888888"
@@ -68,10 +69,11 @@ def _winner_row(
     on_line = int((costs <= _MOST).sum())
     if on_line < len(order):
         sheet.add(Words(x=left + _BEYOND - 4, y=y + 13, text=f"{len(order) - on_line} beyond"))
+    apart = min(_APART, (_LAST - _BEYOND) / max(len(order) - on_line - 1, 1))
     # The best is drawn last, on top.
     for rank, i in reversed(list(enumerate(order))):
         tree, over = record.trees[i], float(costs[i])
-        along = _along(over) if rank < on_line else _BEYOND + _APART * (rank - on_line)
+        along = _along(over) if rank < on_line else _BEYOND + apart * (rank - on_line)
         sheet.add(
             Dot(
                 x=left + along,
