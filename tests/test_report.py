@@ -209,6 +209,23 @@ def test_time_is_told_over_all_scenes(small_study):
     assert f"In scalar time a takes {mean:.3f} ± {error:.3f} of b's" in told
 
 
+def test_a_winner_that_saw_rays_is_told(small_study):
+    for name, told in (("finite", True), ("finite(kind=ao)", True), ("bbvh", False), ("my", False)):
+        trees = [
+            dataclasses.replace(
+                tree_row(builder, counted_cost=cost, scalar_ns=cost, scalar_error=0.1),
+                cost_groups=[cost, 1.1 * cost, 0.9 * cost],
+            )
+            for builder, cost in ((name, 1.0), ("lbvh", 2.0))
+        ]
+        records = [scene_record(trees, f"scene {i}") for i in range(4)]
+        first = answer(records, small_study.correlations)[0]
+        assert first.startswith(f"Best tree of 4 scenes: {name} in all 4")
+        saw = f"{name} was built for other rays of the same cameras"
+        assert first.endswith(saw) is told
+        assert ("was built for" in first) is told
+
+
 def test_the_winner_and_its_lead():
     costs = {"a": [10.0, 12.0, 8.0], "b": [11.0, 13.0, 9.0], "c": [20.0, 20.0, 20.0]}
     trees = [

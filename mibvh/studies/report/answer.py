@@ -7,6 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
+from mibvh.builders import get, later_names
+from mibvh.builders import names as builder_names
+from mibvh.builders.chosen import builder_of
 from mibvh.metrics.predictors import glossary
 from mibvh.studies.analyse.advice import Advice, advice
 from mibvh.studies.analyse.choice import cost_of_choice
@@ -80,12 +83,22 @@ def _best(records: Records) -> Iterator[str]:
     )
     open_ = len(records) - sum(won.values())
     tied = f"; in {open_} the first two are within their errors" if open_ else ""
-    yield (f"Best tree of {len(records)} scenes: {told or 'none for sure'}{tied}, by {_COUNTED}")
+    best = f"Best tree of {len(records)} scenes: {told or 'none for sure'}{tied}, by {_COUNTED}"
+    yield best + _trained(list(won))
     over = cost_over_best(records)
     if over:
         time = _pooled_time(records, list(over)[:2])
         yield f"One for all: {_one_for_all(over)}{time}"
     yield _believed(records, sum(won.values()))
+
+
+def _trained(names: list[str]) -> str:
+    """State which of the builders saw rays, and that they were others than those measured."""
+    known = {*builder_names(), *later_names()}
+    seen = [n for n in names if builder_of(n) in known and get(builder_of(n)).asks_scene]
+    if not seen:
+        return ""
+    return f". {' and '.join(seen)} was built for other rays of the same cameras"
 
 
 def _one_for_all(over: dict[str, F64]) -> str:
@@ -99,8 +112,8 @@ def _one_for_all(over: dict[str, F64]) -> str:
     )
     if not never_beaten:
         return f"above each scene's best, on average: {told}"
-    after = f"; above it, on average: {told}" if told else ""
-    return f"{names[0]}, which no other beats in any scene{after}"
+    after = f". The next cost more, on average: {told}" if told else ""
+    return f"{names[0]} is never beaten{after}"
 
 
 def _pooled_time(records: Records, names: list[str]) -> str:
