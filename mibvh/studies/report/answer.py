@@ -98,7 +98,7 @@ def _trained(names: list[str]) -> str:
     seen = [n for n in names if builder_of(n) in known and get(builder_of(n)).asks_scene]
     if not seen:
         return ""
-    return f". {' and '.join(seen)} was built for other rays of the same cameras"
+    return f". {' and '.join(seen)} was built to cost other rays of the same cameras least"
 
 
 def _one_for_all(over: dict[str, F64]) -> str:
@@ -117,7 +117,7 @@ def _one_for_all(over: dict[str, F64]) -> str:
 
 
 def _pooled_time(records: Records, names: list[str]) -> str:
-    """State the scalar time of the builder that is best over all scenes, relative to the second's.
+    """State how much more scalar time the second takes than the builder best over all scenes.
 
     Over many scenes that is known where no single scene's is. Its error is of the scatter.
     """
@@ -125,10 +125,11 @@ def _pooled_time(records: Records, names: list[str]) -> str:
     ratios = ratios[np.isfinite(ratios)]
     if len(names) < 2 or len(ratios) <= _FEW:
         return ""
-    mean, error = float(ratios.mean()), float(ratios.std(ddof=1) / np.sqrt(len(ratios)))
+    more = np.exp(-ratios.mean())
+    error = more * ratios.std(ddof=1) / np.sqrt(len(ratios))
     return (
-        f". In scalar time {names[0]} takes {np.exp(mean):.3f} ± {np.exp(mean) * error:.3f} of "
-        f"{names[1]}'s (geometric mean)"
+        f". In scalar time {names[1]} takes {more - 1:.1%} ± {error:.1%} more than {names[0]} "
+        "(geometric mean, error of the scatter between scenes)"
     )
 
 
