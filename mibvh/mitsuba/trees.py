@@ -62,9 +62,9 @@ class Builder:
         made_for: tuple[Any, ...] = ()
         if isinstance(scene, Scene) and self.asks_scene:
             made_for = cameras(scene), lights_digest(scene)
-        # A user's own builder may be registered anew under its name.
         # A file that an option names may be written anew.
         written = tuple(_changed(value) for _, value in self.options if isinstance(value, str))
+        # A user's own builder may be registered anew under its name.
         depends = (self, get(self.name).function, str(made_for), written)
         return _kept(
             depends,

@@ -122,7 +122,8 @@ class RayCounter:
         """
         if self._paths is None:
             self._paths = RayPaths.of(self.triangles, self.rays, hits)
-        self._paths = self._paths.with_hits(self.triangles, self.rays, hits)
+        else:
+            self._paths = self._paths.with_hits(self.triangles, self.rays, hits)
         return self._paths
 
     def __call__(self, tree: Tree | WideTree) -> Counts:

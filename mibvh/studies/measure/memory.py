@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import mmap
 from collections.abc import Iterator, Mapping, Sequence
 
 from mibvh.builders import get
@@ -21,7 +22,6 @@ from mibvh.variant import release_memory
 #: page: San Miguel has 0.3 to 0.8 times this, Sahyadri Jungle and San Francisco 0.75 to 1.05 times,
 #: Dragon, of which rays see all, 1 to 1.5 times.
 _READ, _POWER, _MOST = 0.55, 0.28, 0.9
-_PAGE = 4096
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,7 +85,7 @@ def _records(references: Sequence[float], rays: int) -> float:
     needed = BYTES["records"] * sum(references)
     if needed <= times.LARGE:
         return needed
-    pages = needed / len(references) / _PAGE
+    pages = needed / len(references) / mmap.PAGESIZE
     return needed * min(_MOST, _READ * (rays / pages) ** _POWER)
 
 

@@ -121,9 +121,11 @@ def _pooled_time(records: Records, names: list[str]) -> str:
 
     Over many scenes that is known where no single scene's is. Its error is of the scatter.
     """
-    ratios = np.log([_time_ratio(record, names) for record in records])
+    if len(names) < 2:
+        return ""
+    ratios = np.log([_time_ratio(record, *names) for record in records])
     ratios = ratios[np.isfinite(ratios)]
-    if len(names) < 2 or len(ratios) <= _FEW:
+    if len(ratios) <= _FEW:
         return ""
     more = np.exp(-ratios.mean())
     error = more * ratios.std(ddof=1) / np.sqrt(len(ratios))
@@ -133,10 +135,9 @@ def _pooled_time(records: Records, names: list[str]) -> str:
     )
 
 
-def _time_ratio(record: SceneRecord, names: list[str]) -> float:
+def _time_ratio(record: SceneRecord, first: str, second: str) -> float:
     times = {tree.builder: tree[SCALAR.ns] for tree in record.trees}
-    first, second = (times.get(name, np.nan) for name in (*names, "", "")[:2])
-    return float(first / second)
+    return float(times[first] / times[second])
 
 
 def _more(over: F64) -> str:
