@@ -16,6 +16,7 @@ from PIL import Image
 
 from mibvh.errors import MibvhError
 from mibvh.metrics.predictors import predictors
+from mibvh.metrics.registry import DIGITS
 from mibvh.plot.marks import builder_colour, builder_dash, builder_shape, label_places
 from mibvh.studies.analyse.advice import Advice, advice
 from mibvh.studies.analyse.choice import cost_of_choice
@@ -30,12 +31,13 @@ from mibvh.studies.analyse.winners import (
     wins_in_time,
 )
 from mibvh.studies.outputs import remake_report
-from mibvh.studies.record.sheet import Column, Sheet
+from mibvh.studies.record.sheet import Column, Sheet, within
 from mibvh.studies.report import tidy
 from mibvh.studies.report.agreement import limits_beside, multiples, scatter, together
 from mibvh.studies.report.answer import answer
 from mibvh.studies.report.axes import Axis, Panel
 from mibvh.studies.report.drawing import Dot, Drawing, Part, Stroke, Words
+from mibvh.studies.report.overall import overall
 from mibvh.studies.report.plots import by_depth
 from mibvh.studies.report.tables import answers
 from mibvh.studies.report.tables.prediction import NAMED, by_traversal, times_known
@@ -73,6 +75,22 @@ def test_cells():
     first, second = (row[1] for row in SHEET.rows())
     assert (first.sort, first.error, first.best) == (2.5, "±1.1%", False)
     assert (second.error, second.best) == ("", True)
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [(0.20132, "0.201"), (2.0, "2.00"), (48.349, "48.3"), (512.6, "513"), (12345.6, "12346")],
+)
+def test_times_have_three_digits_on_any_machine(value, said):
+    sheet = dataclasses.replace(
+        SHEET, frame=pd.DataFrame({"ns": [value, -value, 0.0]}), columns=[Column("ns", "", DIGITS)]
+    )
+    assert [row[0].text for row in sheet.rows()] == [said, f"-{said}", "0.00"]
+
+
+@pytest.mark.parametrize(("error", "said"), [(0.0112, "±1.1%"), (3e-4, "±0.03%"), (0, "±0.01%")])
+def test_a_small_error_is_not_told_as_none(error, said):
+    assert within(error) == said
 
 
 def test_markdown():
@@ -125,7 +143,8 @@ def test_figure_files(small_study):
     for name in ("counted", "scalar", "simd", "depth"):
         drawn = (small_study.folder / f"figures/{scene}-{name}.svg").read_text()
         assert "currentColor" not in drawn
-        assert drawn.count('data-builder="lbvh"') == 2  # once per panel
+        panels = 2 if name == "depth" else 3
+        assert drawn.count('data-builder="lbvh"') == panels
         ElementTree.fromstring(drawn)
 
 
@@ -189,14 +208,42 @@ def test_many_trees_beyond_the_line_stay_in_their_scene():
     assert max(first) + 5 < second
 
 
+def test_builders_are_ranked_by_their_mean_over_the_scenes_best():
+    """The bar ends at the mean, the points are the scenes, and who lacks a scene has no row."""
+    costs = [{"a": 10.0, "b": 11.0, "c": 40.0}, {"a": 12.0, "b": 10.0, "c": 30.0, "d": 9.0}]
+    records = [
+        scene_record([tree_row(name, counted_cost=cost) for name, cost in of.items()], f"scene {i}")
+        for i, of in enumerate(costs)
+    ]
+    sheet = overall(records)
+    rows = {mark.text: mark.y for mark in sheet.marks if isinstance(mark, Words) and mark.x == 18}
+    assert sorted(rows, key=rows.get) == ["b", "a", "c"]
+    over = {"a": [0, 12 / 9 - 1], "b": [0.1, 10 / 9 - 1], "c": [3, 30 / 9 - 1]}
+    for name, shares in over.items():
+        (bar,) = [m for m in sheet.marks if isinstance(m, Stroke) and m.owner == name]
+        scenes = [m for m in sheet.marks if isinstance(m, Dot) and m.owner == name]
+        assert [m.tip for m in scenes] == [
+            f"scene {i}: {name}, +{share:.1%}" for i, share in enumerate(shares)
+        ]
+        assert f"+{np.mean(shares):.1%} on average" in bar.tip
+        ends = sorted(mark.x for mark in scenes)
+        assert ends[0] - 1e-6 <= bar.points[1, 0] <= ends[1] + 1e-6
+        assert {mark.y for mark in scenes} == {rows[name]} == {bar.points[1, 1]}
+    assert overall([scene_record([tree_row(n, counted_cost=1.0)]) for n in "ab"]) is None
+
+
+def times(scalar, simd):
+    return {"scalar_ns": scalar, "scalar_error": 0.1, "simd_ns": simd, "simd_error": 0.1}
+
+
 def test_time_is_told_over_all_scenes(small_study):
     """Of the second builder, relative to the best for all."""
     ratios = (0.8, 0.9, 1.0, 0.9)
     records = [
         scene_record(
             [
-                tree_row("a", counted_cost=1.0 + i / 10, scalar_ns=time, scalar_error=0.5),
-                tree_row("b", counted_cost=1.2, scalar_ns=1.0, scalar_error=0.5),
+                tree_row("a", counted_cost=1.0 + i / 10, **times(time, np.sqrt(time))),
+                tree_row("b", counted_cost=1.2, **times(1.0, 1.0)),
             ],
             f"scene {i}",
         )
@@ -206,14 +253,15 @@ def test_time_is_told_over_all_scenes(small_study):
     more = 1 / np.exp(logs.mean())
     error = more * logs.std(ddof=1) / 2
     told = next(o for o in answer(records, small_study.correlations) if o.startswith("One for all"))
-    assert f"In scalar time b takes {more - 1:.1%} ± {error:.1%} more than a" in told
+    assert f"b takes more time than a: scalar time {more - 1:.1%} ± {error:.1%}, SIMD" in told
+    assert f"SIMD time {np.sqrt(more) - 1:.1%} ±" in told
 
 
 def test_a_winner_that_saw_rays_is_told(small_study):
     for name, told in (("finite", True), ("finite(kind=ao)", True), ("bbvh", False), ("my", False)):
         trees = [
             dataclasses.replace(
-                tree_row(builder, counted_cost=cost, scalar_ns=cost, scalar_error=0.1),
+                tree_row(builder, counted_cost=cost, **times(cost, cost)),
                 cost_groups=[cost, 1.1 * cost, 0.9 * cost],
             )
             for builder, cost in ((name, 1.0), ("lbvh", 2.0))

@@ -237,25 +237,25 @@ def test_axis_parallel_rays_along_faces_and_from_edges(style):
 
 
 @in_every_style
-def test_no_more_leaks_than_mitsuba(style):
-    """From inside a closed, finely cut, rotated box, aimed at its vertices and edges."""
-    mi = mitsuba()
+@pytest.mark.parametrize(("along", "most"), [((0.1, 0.25, 0.5, 0.9), 0), ((0.0, 1.0), 0.005)])
+def test_leaks_of_a_closed_box(style, along, most):
+    """From inside a finely cut, rotated box, aimed at its edges, and exactly at its vertices.
+
+    At a vertex all edges are seen as points, and rounding can put the ray outside of each of its
+    triangles. Mitsuba's own kernel lets a tenth of these rays out.
+    """
     turn = mibvh.rotation_about((1, 2, 3), 33)
     box = mibvh.Triangles(closed_box(-1, 1, cells=12)).rotated(turn)
     tree = mibvh.build(box, "bbvh")
     rng = np.random.default_rng(0)
     edges = np.concatenate([box.corners[:, [0, 1]], box.corners[:, [1, 2]]])
     edges = edges[rng.integers(0, len(edges), 20000)]
-    at = edges[:, 0] + rng.choice([0, 0.25, 0.5, 1], (20000, 1)) * (edges[:, 1] - edges[:, 0])
+    at = edges[:, 0] + rng.choice(along, (20000, 1)) * (edges[:, 1] - edges[:, 0])
     o = rng.uniform(-0.5, 0.5, (20000, 3)).astype(np.float32)
     d = at - o
     rays = ray_set(o, d / np.linalg.norm(d, axis=1, keepdims=True))
     hits = mibvh.trace(tree, box, rays, style=style, repeats=1)
-    theirs = mibvh.load(box).geometry.ray_test(
-        mi.Ray3f(mi.Point3f(rays.o.T), mi.Vector3f(rays.d.T)), coherent=False
-    )
-    leaks, their_leaks = int(np.isinf(hits.t).sum()), int((~np.array(theirs)).sum())
-    assert leaks <= their_leaks + 2, (leaks, their_leaks)
+    assert np.isinf(hits.t).mean() <= most
 
 
 def test_impossible_requests(small_soup):

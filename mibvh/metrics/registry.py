@@ -21,6 +21,9 @@ from mibvh.metrics.sah import node_costs, sah_per_node
 from mibvh.tree import Tree
 from mibvh.triangles import F64, Triangles
 
+#: Format of values that span powers of ten, as times on a processor and on a GPU do: three
+#: significant digits, never an exponent.
+DIGITS = "digits"
 #: Populations of rays: none, the whole ray set, rays whose lines are followed, rays timed in
 #: either lane mode, and those of the simulated warps.
 Population = Literal["", "all", "lines", "scalar", "simd", "warp"]
@@ -39,7 +42,7 @@ class Quantity:
     heading : str
         Heading of its column in tables for people; empty if it is written to files only.
     format : str
-        Format of its values in these tables.
+        Format of its values in these tables, such as ``.3f``, or :data:`DIGITS`.
     help : str
         A short explanation.
     smaller_is_better : bool

@@ -8,7 +8,7 @@ of an experiment by the experiment. Every column of the tables of trees, every m
 from __future__ import annotations
 
 from mibvh.errors import MibvhError
-from mibvh.metrics.registry import Quantity, metrics
+from mibvh.metrics.registry import DIGITS, Quantity, metrics
 from mibvh.studies.record.experiment import experiments
 
 #: Computed by :mod:`mibvh.studies.measure.counts`.
@@ -135,7 +135,7 @@ TIMED = (
         unit="ns/ray",
         rays="scalar",
         heading="scalar ns/ray",
-        format=".0f",
+        format=DIGITS,
         help="kernel time, one lane per packet",
         smaller_is_better=True,
         main=True,
@@ -151,7 +151,7 @@ TIMED = (
         unit="ns/ray",
         rays="simd",
         heading="SIMD ns/ray",
-        format=".0f",
+        format=DIGITS,
         help="kernel time, all lanes",
         smaller_is_better=True,
         main=True,

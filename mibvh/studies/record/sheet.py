@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -13,10 +14,12 @@ import numpy as np
 import pandas as pd
 
 from mibvh.files import atomic_path
-from mibvh.metrics.registry import Quantity
+from mibvh.metrics.registry import DIGITS, Quantity
 
 #: Shown in place of a missing value.
 _NONE = "–"
+#: Digits that :data:`DIGITS` shows.
+_SIGNIFICANT = 3
 #: Escapes for LaTeX: its special characters, and characters that its default fonts lack.
 _LATEX = str.maketrans({
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
@@ -65,7 +68,7 @@ class Column:
     heading : str
         The key itself if this is empty.
     format : str
-        Format of its numbers, such as ``.3f``; text is not formatted.
+        Format of its numbers, such as ``.3f``, or :data:`DIGITS`; text is not formatted.
     help : str
         A short explanation.
     error : str
@@ -238,12 +241,24 @@ def _cell(column: Column, row: dict[Any, Any], least: float | None) -> Cell:
         return Cell("∞" if value > 0 else "−∞", float(np.nan_to_num(value)), alarm=alarm)
     error = row[column.error] if column.error else np.nan
     return Cell(
-        format(value, column.format),
+        _number(value, column.format),
         float(value),
-        f"±{error:.1%}" if np.isfinite(error) else "",
+        within(error) if np.isfinite(error) else "",
         least is not None and value == least and not alarm,
         alarm,
     )
+
+
+def _number(value: float, form: str) -> str:
+    if form != DIGITS:
+        return format(value, form)
+    power = math.floor(math.log10(abs(value))) if value else 0
+    return f"{value:.{max(0, _SIGNIFICANT - 1 - power)}f}"
+
+
+def within(error: float) -> str:
+    """Format a relative error, such as ``±0.5%``; one that rounds to 0 has a digit more."""
+    return f"±{max(error, 1e-4):.{1 if error >= 5e-4 else 2}%}"
 
 
 def _latex(text: str) -> str:

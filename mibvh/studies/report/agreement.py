@@ -12,6 +12,7 @@ from mibvh.metrics.predictors import predictor
 from mibvh.metrics.registry import Quantity
 from mibvh.studies.analyse.correlations import predicted
 from mibvh.studies.record.scene import Records, SceneRecord, samples
+from mibvh.studies.record.sheet import within
 from mibvh.studies.report.axes import Panel
 from mibvh.studies.report.drawing import Drawing, Part, Words
 from mibvh.studies.report.layout import (
@@ -131,22 +132,25 @@ def _r(value: float) -> str:
     return f"{value:.3f}" if np.isfinite(value) else "–"
 
 
-def predicted_measured(record: SceneRecord, target: Quantity) -> Drawing:
-    """Predicted against measured cost of a scene's trees: SAH alone, and SAH with EPO.
+def predicted_measured(record: SceneRecord, target: Quantity, main: str) -> Drawing:
+    """Predicted against measured cost of a scene's trees: SAH, SAH with EPO, and the advised one.
 
     Parameters
     ----------
     record : SceneRecord
     target : Quantity
         From :func:`mibvh.studies.record.quantities.targets`.
+    main : str
+        Name of the advised predictor.
     """
     sample = record.sample(target.name)
     second = "fitted" if np.isfinite(predicted("fitted", sample)[0]) else "fixed 0.79"
-    sheet, parts = row_of_panels(strip=strip_height(builders_of(record)))
-    for part, name in zip(parts, ("SAH", second), strict=True):
+    names = [*dict.fromkeys(("SAH", second, main))]
+    sheet, parts = row_of_panels(strip=strip_height(builders_of(record)), panels=len(names))
+    for part, name in zip(parts, names, strict=True):
         alpha, values = predicted(name, sample)
         r = pearson(values, sample.measured)
-        label = "SAH" if name == "SAH" else f"SAH + EPO, α = {alpha:.2f}"
+        label = f"SAH + EPO, α = {alpha:.2f}" if name == second else name
         title = f"{label}:  r = {r:.3f}" if np.isfinite(r) else label
         limits = limits_beside(values, sample.measured)
         labels = ("predicted cost", f"measured: {target.heading}")
@@ -160,7 +164,7 @@ def _scatter(panel: Panel, record: SceneRecord, values: F64, target: Quantity) -
     measured = record.column(target.name)
     tips = []
     for tree, x, y in zip(record.trees, values, measured, strict=True):
-        noise = f" ±{tree[target.error]:.1%}" if target.error else ""
+        noise = f" {within(tree[target.error])}" if target.error else ""
         tips.append(
             f"{tree.builder}: {target.heading} {y:.4g}{noise}, predicted {x:.4g}, "
             f"SAH {tree['sah']:.4g}, EPO {tree['epo']:.4g}, LCV {tree['lcv']:.3g}"

@@ -13,7 +13,7 @@ from mibvh.builders.chosen import builder_of
 from mibvh.metrics.predictors import glossary
 from mibvh.studies.analyse.advice import Advice, advice
 from mibvh.studies.analyse.choice import cost_of_choice
-from mibvh.studies.analyse.correlations import SCALAR, overview
+from mibvh.studies.analyse.correlations import LANES, SCALAR, LaneMode, overview
 from mibvh.studies.analyse.winners import (
     cost_over_best,
     winner,
@@ -117,26 +117,30 @@ def _one_for_all(over: dict[str, F64]) -> str:
 
 
 def _pooled_time(records: Records, names: list[str]) -> str:
-    """State how much more scalar time the second takes than the builder best over all scenes.
+    """State how much more time the second takes than the builder best over all scenes.
 
     Over many scenes that is known where no single scene's is. Its error is of the scatter.
     """
     if len(names) < 2:
         return ""
-    ratios = np.log([_time_ratio(record, *names) for record in records])
-    ratios = ratios[np.isfinite(ratios)]
-    if len(ratios) <= _FEW:
+    told = []
+    for lanes in LANES:
+        ratios = np.log([_time_ratio(record, lanes, *names) for record in records])
+        ratios = ratios[np.isfinite(ratios)]
+        if len(ratios) > _FEW:
+            more = np.exp(-ratios.mean())
+            error = more * ratios.std(ddof=1) / np.sqrt(len(ratios))
+            told.append(f"{lanes.title} time {more - 1:.1%} ± {error:.1%}")
+    if not told:
         return ""
-    more = np.exp(-ratios.mean())
-    error = more * ratios.std(ddof=1) / np.sqrt(len(ratios))
     return (
-        f". In scalar time {names[1]} takes {more - 1:.1%} ± {error:.1%} more than {names[0]} "
-        "(geometric mean, error of the scatter between scenes)"
+        f". {names[1]} takes more time than {names[0]}: {', '.join(told)} (geometric mean, error "
+        "of the scatter between scenes)"
     )
 
 
-def _time_ratio(record: SceneRecord, first: str, second: str) -> float:
-    times = {tree.builder: tree[SCALAR.ns] for tree in record.trees}
+def _time_ratio(record: SceneRecord, lanes: LaneMode, first: str, second: str) -> float:
+    times = {tree.builder: tree[lanes.ns] for tree in record.trees}
     return float(times[first] / times[second])
 
 
@@ -161,11 +165,10 @@ def _believed(records: Records, sure: int) -> str:
     timed = wins_in_time(records, SCALAR)
     if not timed.scenes:
         return line
-    return (
-        f"{line}. In scalar time it leads by that much in {timed.same} of {timed.scenes}, another "
-        f"tree in {timed.another or 'none'}; in {timed.open or 'none'} the first two are within "
-        "the stopwatch's error"
-    )
+    told = [f"In scalar time it leads by that much in {timed.same} of {timed.scenes}"]
+    told += [f"another tree in {timed.another}"] if timed.another else []
+    told += [f"in {timed.open} the first two are too near to tell"] if timed.open else []
+    return f"{line}. {', '.join(told)}"
 
 
 def _given(record: SceneRecord) -> Iterator[str]:

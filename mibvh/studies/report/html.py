@@ -33,12 +33,13 @@ from mibvh.studies.record.experiment import experiments
 from mibvh.studies.record.quantities import targets
 from mibvh.studies.record.scene import Records, SceneRecord, Timing
 from mibvh.studies.record.serialise import to_json
-from mibvh.studies.record.sheet import Sheet
+from mibvh.studies.record.sheet import Sheet, within
 from mibvh.studies.report import plots
 from mibvh.studies.report.agreement import multiples, predicted_measured
 from mibvh.studies.report.answer import answer
 from mibvh.studies.report.drawing import Drawing, icon
 from mibvh.studies.report.layout import places_of
+from mibvh.studies.report.overall import overall
 from mibvh.studies.report.summary import summary
 from mibvh.studies.report.tables.audit import failures
 from mibvh.studies.report.tables.builders import SECTION as DEPTH
@@ -129,7 +130,7 @@ def write_report(
     first = {CLAIMS, DEPTH}
     titles = dict.fromkeys(sheet.section for sheet in sheets)
     groups = {title: [s for s in sheets if s.section == title] for title in titles}
-    main = _main_predictor(correlations)
+    main, ranked = _main_predictor(correlations), overall(records)
     claims = groups.get(CLAIMS, [])
     page = template().render(
         builders=_builders(records),
@@ -138,6 +139,7 @@ def write_report(
         trees=_trees_each(records),
         doubted=len(failures(records)),
         answer=answer(records, correlations),
+        overall=draw("overall", ranked) if ranked is not None else [],
         winners=draw("winners", winners(records)),
         multiples=draw("multiples", multiples(records, main)),
         main=main,
@@ -361,15 +363,15 @@ def _scene(
         r=_of_scene(record, correlations[correlations["scene"] == name], main),
         figures=[
             (f"{caption}{over}", draw(f"{name}-{key}", figure))
-            for key, caption, figure in _figures(record)
+            for key, caption, figure in _figures(record, main)
         ],
     )
 
 
-def _figures(record: SceneRecord) -> Iterator[tuple[str, str, Any]]:
+def _figures(record: SceneRecord, main: str) -> Iterator[tuple[str, str, Any]]:
     """Yield the file name, caption and drawing of each figure."""
     for target in targets():
-        yield target.figure, target.caption, predicted_measured(record, target)
+        yield target.figure, target.caption, predicted_measured(record, target, main)
     yield "depth", _CAPTIONS["depth"], plots.by_depth(record)
     if depth := record.result(DepthResult):
         yield "remaining", _CAPTIONS["remaining"], plots.remaining(record, depth)
@@ -390,7 +392,7 @@ def _of_scene(
         (
             target.heading,
             {name: _r(r[target.name, name]) for name in names},
-            f"times ±{worst_error([record], target.error):.1%}"
+            f"times {within(worst_error([record], target.error))}"
             if target.error
             else "exact for its rays",
         )

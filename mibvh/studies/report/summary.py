@@ -50,7 +50,7 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> Drawing:
             part,
             limits,
             (len(names) - 0.5, -0.5),
-            title=f"with {target.heading}",
+            title=f"r with {target.heading}",
             labels=labels,
             log=(True, False),
             ticks=(False, False),

@@ -14,7 +14,7 @@ from mibvh.studies.analyse.pooled import pooled
 from mibvh.studies.paper.published import published
 from mibvh.studies.record.quantities import targets
 from mibvh.studies.record.scene import Records
-from mibvh.studies.record.sheet import Column, Sheet
+from mibvh.studies.record.sheet import Column, Sheet, within
 
 #: The section that the figure of all correlations stands in.
 SECTION = "How well cost is predicted"
@@ -52,7 +52,7 @@ def prediction_sheets(records: Records, correlations: pd.DataFrame) -> list[Shee
 def time_errors(records: Records) -> str:
     """Largest standard errors of times, by lane mode; empty where there are none."""
     errors = {lanes.title: worst_error(records, lanes.error) for lanes in LANES}
-    return " and ".join(f"±{e:.1%} ({name})" for name, e in errors.items() if np.isfinite(e))
+    return " and ".join(f"{within(e)} ({name})" for name, e in errors.items() if np.isfinite(e))
 
 
 def times_known(records: Records) -> str:

@@ -6,6 +6,7 @@ import dataclasses
 
 import pandas as pd
 
+from mibvh.metrics.registry import DIGITS
 from mibvh.studies.analyse.calibration import calibrate, other_constants
 from mibvh.studies.analyse.correlations import LANES, SCALAR
 from mibvh.studies.record.scene import Records
@@ -35,9 +36,9 @@ def _step_costs(records: Records) -> Sheet:
         frame=pd.DataFrame(rows),
         columns=[
             Column("lanes"),
-            Column("ns_per_inner", "ns per inner node", ".2f"),
-            Column("ns_per_test", "ns per triangle", ".2f"),
-            Column("ns_per_ray", "ns per ray", ".1f"),
+            Column("ns_per_inner", "ns per inner node", DIGITS),
+            Column("ns_per_test", "ns per triangle", DIGITS),
+            Column("ns_per_ray", "ns per ray", DIGITS),
             Column("c_inner", "C_inner / C_tri", ".2f"),
             Column("c_inner_low", "95% from", ".2f"),
             Column("c_inner_high", "to", ".2f"),

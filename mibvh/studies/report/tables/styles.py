@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
+from mibvh.metrics.registry import DIGITS
 from mibvh.studies.analyse.styles import style_agreement, style_trees
 from mibvh.studies.measure.styles import StylesResult
 from mibvh.studies.record.scene import Records
@@ -66,8 +67,8 @@ def _trees(trees: pd.DataFrame, lanes: str) -> Sheet:
             Column("scene"),
             Column("style"),
             Column("builder"),
-            Column("scalar_ns", "scalar ns/ray", ".0f", error="scalar_error"),
-            Column("simd_ns", "SIMD ns/ray", ".0f", error="simd_error"),
+            Column("scalar_ns", "scalar ns/ray", DIGITS, error="scalar_error"),
+            Column("simd_ns", "SIMD ns/ray", DIGITS, error="simd_error"),
             Column("scalar_cost", "scalar cost", ".2f"),
             Column("cost", "packets' cost", ".2f"),
             Column("simulated", "simulated deviation", "+.1%"),
