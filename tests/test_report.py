@@ -15,7 +15,7 @@ from conftest import scene_record, tree_row
 from PIL import Image
 
 from mibvh.errors import MibvhError
-from mibvh.metrics.predictors import predictors
+from mibvh.metrics.predictors import predictor, predictors
 from mibvh.metrics.registry import DIGITS
 from mibvh.plot.marks import builder_colour, builder_dash, builder_shape, label_places
 from mibvh.studies.analyse.advice import Advice, advice
@@ -31,6 +31,7 @@ from mibvh.studies.analyse.winners import (
     wins_in_time,
 )
 from mibvh.studies.outputs import remake_report
+from mibvh.studies.record.scene import samples
 from mibvh.studies.record.sheet import Column, Sheet, within
 from mibvh.studies.report import tidy
 from mibvh.studies.report.agreement import limits_beside, multiples, scatter, together
@@ -464,6 +465,22 @@ def test_the_answer_says_what_the_advice_is_worth(small_study):
         assert f"{name} puts first is the best in {best} of {len(records)} scenes" in line
         most = over.max() - 1
         assert f"(worst {most:.{2 if 0 < most < 5e-4 else 1}%})" in line
+
+
+def test_the_answer_says_what_is_left_of_r_without_one_tree(small_study):
+    records, advised = small_study.scenes, advice(small_study.correlations)
+    line = next(o for o in answer(records, small_study.correlations) if o.startswith("Others"))
+    for name in {advised.name, "SAH"}:
+        left = []
+        for one in samples(records, "counted_cost"):
+            values = predictor(name)([one])[1]
+            whole = np.corrcoef(values, one.measured)[0, 1]
+            rest = [
+                np.corrcoef(np.delete(values, i), np.delete(one.measured, i))[0, 1]
+                for i in range(len(values))
+            ]
+            left.append(max(rest, key=lambda r: abs(r - whole)))
+        assert f"{name} {np.mean(left):.3f}" in line.partition("changes r most: ")[2]
 
 
 def test_the_answer_takes_ten_lines(small_study):

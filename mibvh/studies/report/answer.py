@@ -245,7 +245,18 @@ def _others(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[str]
     others = [name for name in NAMED if name in counted.index and name != advised.name]
     told = [f"{n} {_r(counted.loc[n])}" for n in others if np.isfinite(counted.loc[n]["mean"])]
     if told:
-        yield f"Others: r with counted cost is {', '.join(told)}"
+        yield f"Others: r with counted cost is {', '.join(told)}{_leaning(correlations, advised)}"
+
+
+def _leaning(correlations: pd.DataFrame, advised: Advice) -> str:
+    """State what is left of r without one tree: a very bad one raises every r."""
+    counted = correlations[correlations["measurement"] == "counted_cost"]
+    left = counted.groupby("predictor")["without_worst"].mean()
+    left = left.reindex(list(dict.fromkeys((advised.name, "SAH"))))
+    if not np.isfinite(left).all():
+        return ""
+    told = [f"{name} {r:.3f}" for name, r in left.items()]
+    return f". Without the tree that changes r most: {', '.join(told)}"
 
 
 def _r(row: pd.Series) -> str:
