@@ -238,7 +238,7 @@ def test_depth_table_adds_up(full):
 def test_own_choices_give_the_study_s_own_r(full):
     """The leaf size, bounce and viewpoints of the study are among those that are tried."""
     r = full[2].correlations.query("measurement == 'counted_cost'").set_index("predictor")
-    table = full[2].sensitivity.set_index(["experiment", "choice"])
+    table = full[2].sensitivity.set_index(["experiment", "choice"]).sort_index()
     views = full[2].scenes[0].rays.viewpoints
     for case in (("leaf size", 8), ("bounce", 1), ("viewpoints", views)):
         row = table.loc[case]
