@@ -86,7 +86,8 @@ def _multiple(
     near = together(measured)
     limits = limits_of(np.concatenate([sah[near], main[near], measured[near]]), 0.12)
     panel = Panel(sheet, part, limits, limits, margins=_SMALL_MARGINS)
-    said = f"r {_r(r_sah)} → {_r(r_main)}" + (f", {record.over}" if record.over else "")
+    said = f"r: SAH {_r(r_sah)}" + (f", {name} {_r(r_main)}" if name != "SAH" else "")
+    said += f", {record.over}" if record.over else ""
     sheet.parts[-1] = part._replace(title=f"{record.scene}, {name} against counted cost: {said}")
     sheet.add(
         Words(x=part.x + 4, y=part.y + 8, text=record.scene[:24], size=10, strong=True),
@@ -110,7 +111,7 @@ def _at_edge(
     """Label the tree at the edge of a panel with its name and cost."""
     for i in np.flatnonzero(~together(measured)).tolist():
         x, y = float(panel.x(values[i])) + beside[0], float(panel.y(measured[i])) + beside[1]
-        said = f"{names[i]}: {measured[i]:.3g}"
+        said = f"{names[i]}: {measured[i]:.3g} ↗"
         panel.sheet.add(Words(x=x, y=y, text=said, size=8, anchor="end"))
 
 

@@ -32,12 +32,12 @@ _COUNTED = "counted cost (per ray: 1.2 for each inner node visited, 1.0 for each
 _ALONE = "SAH is the cost of infinite random lines through the scene"
 #: Why predictors say what they say.
 _WHY = {
-    "finite rays": f"{_ALONE}; rays are shorter and begin on surfaces, where boxes overlap. So "
-    "finite rays takes the share s of SAH (the rays' mean length over the mean chord of the "
-    "scene's box) and adds the cost of the nodes that hold a ray's start",
-    "finite by lines": f"{_ALONE}; rays are shorter and begin on surfaces, where boxes overlap. So "
-    "finite by lines counts SAH along the rays' own lines, takes the share s of it that the rays "
-    "cover, and adds the cost of the nodes that hold a ray's start",
+    "finite rays": f"{_ALONE}; rays are shorter and begin on surfaces, where boxes overlap. Finite "
+    "rays is s SAH + the cost of the nodes that hold a ray's start, where s is the rays' mean "
+    "length over the mean chord of the scene's box",
+    "finite by lines": f"{_ALONE}; rays are shorter and begin on surfaces, where boxes overlap. "
+    "Finite by lines is s times the cost of the rays' own lines through the whole scene + the cost "
+    "of the nodes that hold a ray's start, where s is the share of the lines that the rays cover",
     "estimated": f"{_ALONE}; rays end on surfaces, where boxes overlap (EPO). So estimated mixes "
     "the two, and the shorter the rays are, the greater is EPO's share α",
     "SAH": f"{_ALONE}, and no other predictor did better here by more than the noise",
@@ -60,8 +60,9 @@ def answer(records: Records, correlations: pd.DataFrame) -> list[str]:
         *_checked(records),
         *_predicted(correlations, advised),
         *_chosen(records, advised),
+        *_why(advised),
+        *_mix(correlations),
         *_others(correlations, advised),
-        *_why(correlations, advised),
     ]
 
 
@@ -84,21 +85,37 @@ def _best(records: Records) -> Iterator[str]:
     open_ = len(records) - sum(won.values())
     tied = f"; in {open_} the first two are within their errors" if open_ else ""
     best = f"Best tree of {len(records)} scenes: {told or 'none for sure'}{tied}, by {_COUNTED}"
-    yield best + _trained(list(won))
     over = cost_over_best(records)
+    yield best + _trained(list(won), list(over))
     if over:
         time = _pooled_time(records, list(over)[:2])
         yield f"One for all: {_one_for_all(over)}{time}"
     yield _believed(records, sum(won.values()))
 
 
-def _trained(names: list[str]) -> str:
-    """State which of the builders saw rays, and that they were others than those measured."""
-    known = {*builder_names(), *later_names()}
-    seen = [n for n in names if builder_of(n) in known and get(builder_of(n)).asks_scene]
+def _trained(won: list[str], ranked: list[str]) -> str:
+    """State which of the builders saw rays, and which is the best of those that did not.
+
+    Parameters
+    ----------
+    won : list of str
+        Builders that are the best of a scene.
+    ranked : list of str
+        All builders of all scenes, the one of the least mean first.
+    """
+    seen = [name for name in won if _sees(name)]
     if not seen:
         return ""
-    return f". {' and '.join(seen)} was built to cost other rays of the same cameras least"
+    blind = next((name for name in ranked if not _sees(name)), "")
+    least = f"; the best that knows no cameras is {blind}" if blind else ""
+    were = "was" if len(seen) == 1 else "were"
+    return f". {' and '.join(seen)} {were} optimised on other rays from the same cameras{least}"
+
+
+def _sees(name: str) -> bool:
+    """Return whether a builder asks for the scene, whose cameras tell it of rays."""
+    known = builder_of(name) in {*builder_names(), *later_names()}
+    return known and get(builder_of(name)).asks_scene
 
 
 def _one_for_all(over: dict[str, F64]) -> str:
@@ -113,7 +130,7 @@ def _one_for_all(over: dict[str, F64]) -> str:
     if not never_beaten:
         return f"above each scene's best, on average: {told}"
     after = f". The next cost more, on average: {told}" if told else ""
-    return f"{names[0]} is never beaten{after}"
+    return f"no tree has a lower counted cost than {names[0]} in any scene{after}"
 
 
 def _pooled_time(records: Records, names: list[str]) -> str:
@@ -134,8 +151,8 @@ def _pooled_time(records: Records, names: list[str]) -> str:
     if not told:
         return ""
     return (
-        f". {names[1]} takes more time than {names[0]}: {', '.join(told)} (geometric mean, error "
-        "of the scatter between scenes)"
+        f". {names[1]} takes more time than {names[0]}: {', '.join(told)} (geometric mean ± "
+        "standard error over the scenes)"
     )
 
 
@@ -195,7 +212,7 @@ def _checked(records: Records) -> Iterator[str]:
     if checks:
         line = f"{checks:,} comparisons with independent code, {len(failures(records)) or 'none'}"
         times = time_errors(records)
-        known = f". Times of a scene's trees are known to {times} or better, one standard error"
+        known = f". The time of a tree in a scene is known to {times} or better, one standard error"
         yield f"Checked: {line} failed{known if times else ''}"
 
 
@@ -207,7 +224,7 @@ def _predicted(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[s
     counted, timed = (table.loc[measured] for measured in ("counted_cost", SCALAR.ns))
     first = (
         f"Predictor: {advised.name}, nothing fitted: r (Pearson's, over a scene's trees) is "
-        f"{_r(counted.loc[advised.name])} with counted cost"
+        f"{_r(counted.loc[advised.name], _worst(correlations, advised.name))} with counted cost"
     )
     if np.isfinite(timed.loc[advised.name]["mean"]):
         first += f", {_r(timed.loc[advised.name])} with scalar time"
@@ -224,7 +241,9 @@ def _chosen(records: Records, advised: Advice | None) -> Iterator[str]:
     over = {name: cost_of_choice(records, name) for name in names}
     if not all(np.isfinite(shares).all() for shares in over.values()):
         return
-    told = (f"the tree that {name} puts first {_choice(of)}" for name, of in over.items())
+    told = (
+        f"the tree that the predictor {name} puts first {_choice(of)}" for name, of in over.items()
+    )
     yield f"Its choice: {'; '.join(told)}"
 
 
@@ -256,19 +275,32 @@ def _leaning(correlations: pd.DataFrame, advised: Advice) -> str:
     if not np.isfinite(left).all():
         return ""
     told = [f"{name} {r:.3f}" for name, r in left.items()]
-    return f". Without the tree that changes r most: {', '.join(told)}"
+    return f". Without the tree that changes it most in each scene, r is {', '.join(told)}"
 
 
-def _r(row: pd.Series) -> str:
+def _worst(correlations: pd.DataFrame, name: str) -> str:
+    """Return the scene in which a predictor has its least r with counted cost."""
+    of = correlations[
+        (correlations["predictor"] == name) & (correlations["measurement"] == "counted_cost")
+    ].dropna(subset="pearson")
+    return str(of["scene"].iloc[int(of["pearson"].argmin())])
+
+
+def _r(row: pd.Series, scene: str = "") -> str:
     """Format the mean r over the scenes, and the worst if there are several."""
-    worst = f" (worst {row['min']:.3f})" if row["scenes"] > 1 else ""
+    of = f", {scene}" if scene else ""
+    worst = f" (worst {row['min']:.3f}{of})" if row["scenes"] > 1 else ""
     return f"{row['mean']:.3f}{worst}"
 
 
-def _why(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[str]:
-    """State why the predictor is advised, and what the fitted weights say about the cost."""
+def _why(advised: Advice | None) -> Iterator[str]:
+    """State why the predictor is advised."""
     if advised is not None:
         yield f"Why: {_WHY.get(advised.name, glossary()[advised.name])}"
+
+
+def _mix(correlations: pd.DataFrame) -> Iterator[str]:
+    """State what the paper's predictor is, and what its fitted weights say about the cost."""
     of = correlations[
         (correlations["predictor"] == "fitted") & (correlations["measurement"] == "counted_cost")
     ]

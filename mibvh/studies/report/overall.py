@@ -14,7 +14,7 @@ from mibvh.triangles import F64
 
 _WIDTH, _ROW = 380.0, 19.0
 #: Left, right, bottom and top of the rows; the names stand on the left, the means on the right.
-_MARGINS = (104.0, 50.0, 34.0, 26.0)
+_MARGINS = (104.0, 62.0, 30.0, 34.0)
 #: How far the axis goes beyond the greatest mean.
 _ROOM = 1.15
 #: Letters of a name that fit beside a row.
@@ -41,8 +41,12 @@ def overall(records: Records) -> Drawing | None:
         ticks=(False, False),
         margins=_MARGINS,
     )
-    head = f"mean of {len(records)} scenes, and each" if len(records) > 1 else records[0].scene
-    sheet.add(Words(x=5.0, y=11.0, text=f"Counted cost over the scene's best: {head}", size=9.5))
+    beyond = any((shares > end).any() for shares in over.values())
+    said = f"bar: mean of {len(records)} scenes; dots: scenes" if len(records) > 1 else ""
+    sheet.add(
+        Words(x=5.0, y=10.0, text="Counted cost above the scene's best", size=9.5, strong=True),
+        Words(x=5.0, y=23.0, text=said + ", at the end those beyond it" * beyond, opacity=0.8),
+    )
     for value in panel.x.ticks(4):
         panel.mark_across(value, f"+{value:.0%}" if value else "best")
     places, scenes = places_of(records), [record.scene for record in records]

@@ -44,7 +44,7 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> Drawing:
     sheet, parts = row_of_panels(height, panels=len(held))
     margins = (98.0, *MARGINS[1:])
     for part, target in zip(parts, held, strict=True):
-        labels = ("r over a scene's trees (log of 1 − r)", "")
+        labels = ("dots: scenes; log of 1 − r", "")
         panel = Panel(
             sheet,
             part,
