@@ -261,7 +261,7 @@ PROFILES: dict[str, dict[str, Any]] = {
         "height": 240,
         "samples": 4,
         "scalar_rays": 131072,
-        "seconds": 45.0,
+        "seconds": 25.0,
         "experiments": ("prediction", "depth", "rotation", "sensitivity"),
     },
 }
