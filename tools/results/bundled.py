@@ -15,7 +15,7 @@ import mibvh
 from mibvh.builders import get, later_names, names
 from mibvh.bundled import scenes_package
 from mibvh.errors import MibvhError
-from mibvh.files import write_text
+from mibvh.files import make_folder, write_text
 from mibvh.studies import StudyOptions
 from mibvh.studies.analyse.correlations import correlations
 from mibvh.studies.record.scene import SceneRecord
@@ -58,11 +58,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--docs", type=Path, default=ROOT, help="the checkout whose docs are written")
     chosen = parser.parse_args(arguments)
     try:
+        pages = make_folder(chosen.docs / "docs/results")
         records = _study(chosen)
+        write_text(pages / f"{PAGE.file}.md", page_text(records, chosen))
     except MibvhError as error:
         sys.stderr.write(f"bundled: {error}\n")
         return 2
-    write_text(chosen.docs / f"docs/results/{PAGE.file}.md", page_text(records, chosen))
     return 0
 
 
