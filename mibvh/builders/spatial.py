@@ -531,7 +531,7 @@ class SpatialOptions(Options):
     summary="full sweep, and planes that cut triangles where children would overlap",
     source="Stich, Friedrich and Dietrich 2009",
     options=SpatialOptions,
-    memory=620,
+    memory=520,
 )
 def sbvh(triangles: Triangles, options: SpatialOptions, context: Context) -> Draft:
     """Build the SBVH; O(n log n)."""
