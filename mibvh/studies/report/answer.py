@@ -147,11 +147,11 @@ def _pooled_time(records: Records, names: list[str]) -> str:
         if len(ratios) > _FEW:
             more = np.exp(-ratios.mean())
             error = more * ratios.std(ddof=1) / np.sqrt(len(ratios))
-            told.append(f"{lanes.title} time {more - 1:.1%} ± {error:.1%}")
+            told.append(f"{lanes.title} {more - 1:+.1%} ± {error:.1%}")
     if not told:
         return ""
     return (
-        f". {names[1]} takes more time than {names[0]}: {', '.join(told)} (geometric mean ± "
+        f". The time of {names[1]} over that of {names[0]}: {', '.join(told)} (geometric mean ± "
         "standard error over the scenes)"
     )
 
