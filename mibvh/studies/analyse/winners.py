@@ -8,6 +8,7 @@ import numpy as np
 
 from mibvh.studies.analyse.correlations import LaneMode
 from mibvh.studies.record.scene import Records, SceneRecord
+from mibvh.studies.record.sheet import digits_of
 from mibvh.triangles import F64
 
 _NONE = float("nan")
@@ -46,8 +47,7 @@ class Winner:
         """The lead with its error, as text."""
         lead = f"{self.lead:.1%}"
         if np.isfinite(self.error):
-            # An error below the last digit is told with one digit more.
-            digits = 1 if self.error >= 5e-4 else 2
+            digits = digits_of(self.error)
             lead = f"{self.lead:.{digits}%} ± {max(self.error, 1e-4):.{digits}%}"
         return lead
 

@@ -257,8 +257,13 @@ def _number(value: float, form: str) -> str:
 
 
 def within(error: float) -> str:
-    """Format a relative error, such as ``±0.5%``; one that rounds to 0 has a digit more."""
-    return f"±{max(error, 1e-4):.{1 if error >= 5e-4 else 2}%}"
+    """Format a relative error, such as ``±0.5%``."""
+    return f"±{max(error, 1e-4):.{digits_of(error)}%}"
+
+
+def digits_of(error: float) -> int:
+    """Return the decimals of a percentage: an error that would round to 0 has one more."""
+    return 1 if error >= 5e-4 else 2
 
 
 def _latex(text: str) -> str:
