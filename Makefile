@@ -64,7 +64,7 @@ results: setup ## Study SCENES=FOLDER of folders with a scene.xml; write docs/re
 	$(BIN)/python -m tools.results $(SCENES) -o $(RESULTS_OUT) --experiments $(EXPERIMENTS) $(RESULTS)
 
 bundled: setup ## Study all bundled scenes with all builders; write docs/results/bundled.md
-	$(BIN)/python -m tools.results.bundled -o out/bundled
+	$(BIN)/python -m tools.results.all_builders -o out/bundled
 
 setup: $(VENV)/installed ## Make the environment, in .venv
 	@PYTHON=$(BIN)/python sh tools/ensure_llvm.sh

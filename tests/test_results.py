@@ -12,7 +12,7 @@ import mibvh
 from mibvh.errors import MibvhError
 from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.sheet import Column, Sheet
-from tools.results import blocks, bundled, quoted
+from tools.results import all_builders, blocks, quoted
 from tools.results.__main__ import main
 from tools.results.pages import OLD, PAGES, marked_as_old, on_page
 from tools.results.study import scenes_of, stages
@@ -191,9 +191,9 @@ def test_a_folder_of_nothing_is_a_sentence(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_the_page_of_bundled_scenes_holds_the_study(tmp_path):
-    (tmp_path / "docs/results").mkdir(parents=True)
     few = ["--scenes", "cornell", "--triangles", "400", "--seconds", "0"]
-    assert bundled.main(["-o", str(tmp_path / "out"), "--docs", str(tmp_path), *few]) == 0
+    where = ["-o", str(tmp_path / "out"), "--docs", str(tmp_path)]
+    assert all_builders.main([*where, *few]) == 0
     page = (tmp_path / "docs/results/bundled.md").read_text()
     study = mibvh.studies.read_study(tmp_path / "out")
     assert len(study.table) == 16
@@ -201,4 +201,30 @@ def test_the_page_of_bundled_scenes_holds_the_study(tmp_path):
     assert "by kind of rays" in page
     assert "8 children" in page
     assert "none failed" in page
-    assert bundled.main(["-o", str(tmp_path / "o"), "--scenes", "cornel"]) == 2
+
+
+@pytest.mark.slow
+def test_the_page_of_real_scenes_holds_the_study(tmp_path):
+    for seed, (name, size) in enumerate((("small", 300), ("smaller", 200), ("other", 400))):
+        write_scene(tmp_path / "scenes", name, size, seed)
+    where = ["-o", str(tmp_path / "out"), "--docs", str(tmp_path), "--seconds", "0"]
+    fewer = ["--without", "other", "--without-builders", "embree,agglo"]
+    assert all_builders.main([str(tmp_path / "scenes"), *where, *fewer]) == 0
+    page = (tmp_path / "docs/results/all-builders.md").read_text()
+    assert "2 scenes of 200 to 300 triangles, 15 trees each" in page
+    assert "-o DIR SCENES --without other --profile quick --seconds 0 --" in page
+    assert "| agglo |" not in page
+    assert "| finite |" in page
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (["--scenes", "cornel"], "cornel"),
+        (["--without-builders", "agglom"], "agglom"),
+        (["missing"], "no folder with a scene.xml"),
+    ],
+)
+def test_a_page_of_all_builders_that_cannot_be_is_a_sentence(tmp_path, capsys, wrong, said):
+    assert all_builders.main(["-o", str(tmp_path / "o"), "--docs", str(tmp_path), *wrong]) == 2
+    assert said in capsys.readouterr().err
