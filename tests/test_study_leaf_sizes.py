@@ -151,10 +151,12 @@ def test_drafts_for_later_are_in_files_until_the_end(tmp_path, scene):
         assert drafts.spared <= 0.0  # keeping it is no part of building
         files = [again for again, _ in drafts._kept.values()]
         assert [type(file) for file in files] == [sharing._InFile]
+        ((key, (file, seconds)),) = drafts._kept.items()
+        assert seconds > 0
+        drafts._kept[key] = file, 100.0
         again = mibvh.build(scene, "lbvh")
         assert again.digest == first.digest
-        # The second is said to have taken as long as the first.
-        assert again.meta["build_seconds"] >= 0.5 * first.meta["build_seconds"]
+        assert again.meta["build_seconds"] > 99  # the second is said to have taken as long
         with shared_drafts("another scene"):
             mibvh.build(scene, "sbvh")
         assert len(drafts._kept) == 1
