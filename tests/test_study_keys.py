@@ -150,6 +150,17 @@ def test_a_tree_of_another_builder_under_the_name_is_not_believed(tmp_path):
     assert again.scenes[0].reused["trees"] == 1
 
 
+def test_a_tree_that_is_added_later_is_compared_with_the_first(tmp_path):
+    """The first one's own checks are kept, so that it is traced for this alone."""
+    run(tmp_path, "bbvh")
+    later = run(tmp_path, "bbvh", "lbvh").scenes[0]
+    first, second = ([check.name for check in tree.audit] for tree in later.trees)
+    assert "trees" in second
+    assert "trees" not in first
+    at_once = run(tmp_path / "at once", "bbvh", "lbvh").scenes[0]
+    assert second == [check.name for check in at_once.trees[1].audit]
+
+
 def test_rays_too_few_to_be_timed_are_not(tmp_path, monkeypatch):
     from mibvh.studies.measure import times
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from mibvh.audit.record import Check
 from mibvh.audit.run import audit_figures, audit_hits, check_tree
@@ -33,6 +33,14 @@ class Auditor:
     def __init__(self, counter: RayCounter) -> None:
         self._counter = counter
         self._first: Hits | None = None
+        self._earlier: Callable[[], Tree] | None = None
+
+    def compare_with(self, tree: Callable[[], Tree]) -> None:
+        """Set the tree whose hits those of later trees are compared with.
+
+        It is traced only if there are later trees to check: its own checks may be kept ones.
+        """
+        self._earlier = tree
 
     def __call__(self, tree: Tree | WideTree, values: dict[str, float]) -> Checks:
         """Check a tree, and its SAH, EPO and counted cost.
@@ -45,6 +53,8 @@ class Auditor:
         sound = check_tree(tree, scene.triangles)
         if not sound.passed:
             return Checks([sound])
+        if self._first is None and self._earlier is not None:
+            self._first = self._counter.hits(self._earlier())
         hits = self._counter.hits(tree)
         figures = audit_figures(tree, scene.triangles, values["sah"], values["epo"])
         traced = audit_hits(

@@ -178,6 +178,8 @@ def study_trees(
                 part.missing(f"tree {name}", error, tree=name)
                 continue
             rows.append(study_tree(source, trees[name], counter, auditor, store, part))
+            if len(rows) == 1:
+                auditor.compare_with(functools.partial(trees.__getitem__, name))
     return trees, rows
 
 
