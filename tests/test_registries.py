@@ -14,7 +14,7 @@ from conftest import scene_record, soup, tree_row
 import mibvh
 from mibvh.builders import registry as builder_registry
 from mibvh.metrics import registry as metric_registry
-from mibvh.metrics.predictors import Predictor, add_predictor, predictor, predictors
+from mibvh.metrics.predictors import Predictor, Sample, add_predictor, predictor, predictors
 from mibvh.metrics.predictors import registry as predictor_registry
 from mibvh.metrics.registry import Metric, Quantity, add_metric
 from mibvh.studies import Progress
@@ -193,6 +193,29 @@ def test_no_two_predictors_of_one_name(added):
     add_predictor(PREDICTOR)  # one's own may be replaced
     with pytest.raises(mibvh.MibvhError, match="two predictors are called SAH"):
         add_predictor(dataclasses.replace(PREDICTOR, name="SAH"))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (lambda sah: sah + 1j, "predictor mine gives complex numbers"),
+        (lambda sah: sah[:1], r"predictor mine gives an array \(1,\) for 3 trees"),
+        (lambda sah: ["a"] * len(sah), "predictor mine failed: .*ValueError"),
+    ],
+)
+def test_what_a_user_s_predictor_may_not_give_is_said(added, given, said):
+    mine = Predictor(
+        name="mine",
+        formula="SAH",
+        free="0",
+        needs=("sah",),
+        predict=lambda values, _: given(values["sah"]),
+    )
+    add_predictor(mine)
+    sample = Sample({"sah": np.array([1.0, 2.0, 3.0])}, np.array([1.0, 2.0, 3.0]))
+    found = predictor_registry.faults([sample], 0)
+    assert re.search(said, str(found["mine"]))
+    assert np.isnan(predictor("mine")([sample])[1]).all()
 
 
 def test_weights_of_one_scene_predict_another():

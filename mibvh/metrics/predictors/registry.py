@@ -190,7 +190,10 @@ def _predicted(one: Predictor, values: Values, weights: Weights) -> F64:
     found = np.full(len(known), _NONE)
     with guard(f"predictor {one.name}", one.predict):
         some = {name: value[known] for name, value in values.items()}
-        predicted = np.asarray(one.predict(some, weights), np.float64)
+        given = np.asarray(one.predict(some, weights))
+        predicted = given.real.astype(np.float64)
+    if np.iscomplexobj(given):
+        raise MibvhError(f"predictor {one.name} gives complex numbers")
     if predicted.shape != (known.sum(),):
         raise MibvhError(
             f"predictor {one.name} gives an array {predicted.shape} for {known.sum()} trees"
