@@ -24,6 +24,7 @@ from mibvh.studies.record.sheet import literal
 from mibvh.studies.report.answer import answer
 from mibvh.studies.report.board import Board
 from mibvh.studies.report.tables import answers
+from tools.results.later import later_sheets
 from tools.results.pages import Page, tables_of
 from tools.results.study import scenes_of
 
@@ -32,6 +33,8 @@ _KINDS, _WIDTHS = ("diffuse", "shadow", "ao"), (2, 8)
 _SHEETS = (
     "overview",
     "pooled-*",
+    "later-*",
+    "cost-for-cost",
     "builders",
     "sah-over-best",
     "warp-*",
@@ -108,7 +111,7 @@ def page_text(page: Page, records: Sequence[SceneRecord], command: str) -> str:
     machine = records[-1].environment
     sizes = [record.triangles for record in records]
     lines = "\n".join(f"- {literal(line)}" for line in answer(records, found))
-    tables = tables_of(page, answers(records, found))
+    tables = tables_of(page, [*answers(records, found), *later_sheets(records)])
     return (
         f"# {page.title}\n\n{len(records)} scenes of {min(sizes):,} to {max(sizes):,} triangles, "
         f"{len(records[0].trees)} trees each, by mibvh {machine['mibvh']} on {machine['cpu']}. "
