@@ -97,6 +97,7 @@ def measure(
     mibvh.build(np.random.default_rng(0).random((64, 3, 3)), name)  # compiled, too
     empty = _peak()
     seconds, beside, embree = {}, {}, None
+    facts: dict[str, Any] = {}
     for count in threads:
         os.environ["MIBVH_THREADS"] = str(count)
         times: list[float] = []
@@ -105,27 +106,33 @@ def measure(
         while len(times) < repeats and time.perf_counter() - started < _ENOUGH:
             tree = mibvh.build(triangles, name)
             times.append(tree.meta["build_seconds"])
-            if embree is None:  # which takes memory, too
-                peak = _peak()
-            if len(times) < repeats:
-                del tree  # or the next would be built beside it
+            # Before Embree's, which takes memory, too.
+            facts = facts or {"gigabytes": _peak(), **_facts(tree)}
+            del tree  # or the next would be built beside it
             if yardstick:
                 embree = embree or embree_scene(triangles.corners)
                 peers.append(embree(count))
         seconds[str(count)] = float(np.median(times))
         if yardstick:
             beside[str(count)] = float(np.median(peers))
-    report = tree.meta["report"]
     return {
         "triangles": len(triangles),
         "seconds": seconds,
         "embree_seconds": beside,
+        "gigabytes_before": empty,
+        **facts,
+    }
+
+
+def _facts(tree: Any) -> dict[str, Any]:
+    """Return what does not change from build to build."""
+    import mibvh
+
+    return {
         "sah": mibvh.sah(tree),
         "references": len(tree.references),
         "depth": tree.depth,
-        "iterations": report.get("iterations"),
-        "gigabytes_before": empty,
-        "gigabytes": peak,
+        "iterations": tree.meta["report"].get("iterations"),
     }
 
 
