@@ -108,8 +108,8 @@ def _trained(won: list[str], ranked: list[str]) -> str:
         return ""
     blind = next((name for name in ranked if not _sees(name)), "")
     least = f"; the best that knows no cameras is {blind}" if blind else ""
-    were = "was" if len(seen) == 1 else "were"
-    return f". {' and '.join(seen)} {were} optimised on other rays from the same cameras{least}"
+    does = "minimises" if len(seen) == 1 else "minimise"
+    return f". {' and '.join(seen)} {does} what other rays from the same cameras cost{least}"
 
 
 def _sees(name: str) -> bool:
@@ -182,7 +182,7 @@ def _believed(records: Records, sure: int) -> str:
     timed = wins_in_time(records, SCALAR)
     if not timed.scenes:
         return line
-    told = [f"In scalar time it leads by that much in {timed.same} of {timed.scenes}"]
+    told = [f"In scalar time the same tree leads by that much in {timed.same} of {timed.scenes}"]
     told += [f"another tree in {timed.another}"] if timed.another else []
     told += [f"in {timed.open} the first two are too near to tell"] if timed.open else []
     return f"{line}. {', '.join(told)}"
@@ -229,7 +229,7 @@ def _predicted(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[s
     if np.isfinite(timed.loc[advised.name]["mean"]):
         first += f", {_r(timed.loc[advised.name])} with scalar time"
     if advised.equals:
-        first += f"; within the noise {' and '.join(advised.equals)} did as well"
+        first += f"; {' and '.join(advised.equals)} did as well within the error of r"
     yield first
 
 
@@ -313,5 +313,6 @@ def _mix(correlations: pd.DataFrame) -> Iterator[str]:
     yield (
         "The paper's mix: (1 − α) SAH + α EPO (end-point overlap: the cost of nodes that hold a "
         "surface point, but not its triangle), α fitted to the trees (fitted) or taken from the "
-        f"rays' length (estimated); the α that fits best is {fits}"
+        "rays' length (estimated). EPO takes all surfaces alike, wherever rays start; the α that "
+        f"fits best is {fits}"
     )

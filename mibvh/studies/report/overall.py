@@ -45,7 +45,7 @@ def overall(records: Records) -> Drawing | None:
     said = f"bar: mean of {len(records)} scenes; dots: scenes" if len(records) > 1 else ""
     sheet.add(
         Words(x=5.0, y=10.0, text="Counted cost above the scene's best", size=9.5, strong=True),
-        Words(x=5.0, y=23.0, text=said + ", at the end those beyond it" * beyond, opacity=0.8),
+        Words(x=5.0, y=23.0, text=said + ", those beyond at the edge" * beyond, opacity=0.8),
     )
     for value in panel.x.ticks(4):
         panel.mark_across(value, f"+{value:.0%}" if value else "best")

@@ -44,7 +44,8 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> Drawing:
     sheet, parts = row_of_panels(height, panels=len(held))
     margins = (98.0, *MARGINS[1:])
     for part, target in zip(parts, held, strict=True):
-        labels = ("dots: scenes; log of 1 − r", "")
+        bar = "; bar: mean" if shown["scene"].nunique() > 1 else ""
+        labels = (f"dots: scenes{bar}; log of 1 − r", "")
         panel = Panel(
             sheet,
             part,
