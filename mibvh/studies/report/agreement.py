@@ -28,7 +28,7 @@ from mibvh.studies.report.layout import (
 from mibvh.triangles import F64
 
 #: The small multiples: size, margins, how many in a row of the file.
-_SMALL, _SMALL_MARGINS, _COLUMNS = (150.0, 148.0), (30.0, 8.0, 22.0, 38.0), 4
+_SMALL, _SMALL_MARGINS, _COLUMNS = (150.0, 154.0), (30.0, 8.0, 22.0, 44.0), 4
 #: Share of an axis below which the trees but the dearest would be crowded.
 _CROWDED = 0.5
 
