@@ -33,10 +33,10 @@ _ALONE = "SAH is the cost of infinite random lines through the scene"
 #: Why predictors say what they say.
 _WHY = {
     "finite rays": f"{_ALONE}; rays are shorter and begin on surfaces, where boxes overlap. Finite "
-    "rays is s SAH + the cost of the nodes that hold a ray's start, where s is the rays' mean "
+    "rays = s × SAH + the cost of the nodes that hold a ray's start, where s is the rays' mean "
     "length over the mean chord of the scene's box",
     "finite by lines": f"{_ALONE}; rays are shorter and begin on surfaces, where boxes overlap. "
-    "Finite by lines is s times the cost of the rays' own lines through the whole scene + the cost "
+    "Finite by lines = s × the cost of the rays' own lines through the whole scene + the cost "
     "of the nodes that hold a ray's start, where s is the share of the lines that the rays cover",
     "estimated": f"{_ALONE}; rays end on surfaces, where boxes overlap (EPO). So estimated mixes "
     "the two, and the shorter the rays are, the greater is EPO's share α",
@@ -108,8 +108,8 @@ def _trained(won: list[str], ranked: list[str]) -> str:
         return ""
     blind = next((name for name in ranked if not _sees(name)), "")
     least = f"; the best that knows no cameras is {blind}" if blind else ""
-    does = "minimises" if len(seen) == 1 else "minimise"
-    return f". {' and '.join(seen)} {does} what other rays from the same cameras cost{least}"
+    were = "was" if len(seen) == 1 else "were"
+    return f". {' and '.join(seen)} {were} built for different rays from the same cameras{least}"
 
 
 def _sees(name: str) -> bool:
@@ -182,7 +182,8 @@ def _believed(records: Records, sure: int) -> str:
     timed = wins_in_time(records, SCALAR)
     if not timed.scenes:
         return line
-    told = [f"In scalar time the same tree leads by that much in {timed.same} of {timed.scenes}"]
+    same = "the same tree leads beyond twice its error"
+    told = [f"In scalar time {same} in {timed.same} of {timed.scenes}"]
     told += [f"another tree in {timed.another}"] if timed.another else []
     told += [f"in {timed.open} the first two are too near to tell"] if timed.open else []
     return f"{line}. {', '.join(told)}"
@@ -229,8 +230,14 @@ def _predicted(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[s
     if np.isfinite(timed.loc[advised.name]["mean"]):
         first += f", {_r(timed.loc[advised.name])} with scalar time"
     if advised.equals:
-        first += f"; {' and '.join(advised.equals)} did as well within the error of r"
+        first += f"; {_equals(advised)} did as well within the error of r"
     yield first
+
+
+def _equals(advised: Advice) -> str:
+    """Name the predictors that did as well, and what they are if that is told nowhere else."""
+    briefly = {"finite by lines": " (SAH of the rays' own lines)"}
+    return " and ".join(name + briefly.get(name, "") for name in advised.equals)
 
 
 def _chosen(records: Records, advised: Advice | None) -> Iterator[str]:
@@ -312,7 +319,7 @@ def _mix(correlations: pd.DataFrame) -> Iterator[str]:
         fits = f"different in each scene, {alpha.min():.2f} to {alpha.max():.2f}"
     yield (
         "The paper's mix: (1 − α) SAH + α EPO (end-point overlap: the cost of nodes that hold a "
-        "surface point, but not its triangle), α fitted to the trees (fitted) or taken from the "
-        "rays' length (estimated). EPO takes all surfaces alike, wherever rays start; the α that "
-        f"fits best is {fits}"
+        "surface point, but not its triangle), α fitted to each scene's trees (fitted) or taken "
+        "from the rays' length (estimated). EPO takes all surfaces alike, wherever rays start; the "
+        f"α that fits best is {fits}"
     )
