@@ -284,7 +284,10 @@ GROUPS = """<scene version="3.0.0"><emitter type="constant"/><sensor type="persp
 def test_instances_are_the_same_triangles_in_files_and_in_memory(tmp_path):
     """What ``bvh_cost`` and ``bvh_rays`` are handed holds what ``build`` loads."""
     path = tmp_path / "groups.xml"
-    path.write_text(GROUPS)
+    # An instance keeps its transform in single precision, which a rotation shows.
+    turned = '<translate x="-3"/></transform>\n</shape>\n<shape type="instance" id="last">'
+    assert turned in GROUPS
+    path.write_text(GROUPS.replace(turned, '<rotate y="1" angle="30"/>' + turned))
     loaded = mibvh.load(path)
     scene = mi.load_file(str(path), optimize=False)
     ids = [shape.id() for shape in scene.shapes()]

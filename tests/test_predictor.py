@@ -71,6 +71,10 @@ def test_agreement_names_the_absurd_tree():
     assert found["trees"] == 9
     assert found["pearson"] > 0.99
     assert abs(found["without_worst"]) < 0.9
+    # Without the last tree all cost the same: the whole r is that tree's.
+    alone = agreement([5.0, 5.1, 5.2, 5.3, 17.0], [1.2, 1.2, 1.2, 1.2, 13.2])
+    assert alone["pearson"] > 0.99
+    assert np.isnan(alone["without_worst"])
     line = agreement([1, 2, 3, 4], [2, 4, 6, 8])
     assert line["worst_error"] == pytest.approx(0, abs=1e-12)
     assert line["spearman"] == pytest.approx(1)

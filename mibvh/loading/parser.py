@@ -256,7 +256,7 @@ def _expand_instances(mi: Any, state: Any) -> dict[str, list[F64]]:
             continue
         del state.nodes[0].props[child.key]
         to_world = _peek(state.nodes[child.index].props, "to_world")
-        matrix = np.eye(4) if to_world is None else np.array(to_world.matrix, np.float64)
+        matrix = np.eye(4) if to_world is None else _as_kept(to_world)
         for place, member in enumerate(_members(mi, state, group)):
             name = member_name(state.nodes[group].props.id(), place)
             if name not in placed:
@@ -264,6 +264,12 @@ def _expand_instances(mi: Any, state: Any) -> dict[str, list[F64]]:
                 state.nodes[0].props[name] = _named(mi, state, member, name, used)
             placed[name].append(matrix.reshape(4, 4))
     return placed
+
+
+def _as_kept(to_world: Any) -> F64:
+    """Return a transform as an instance keeps it, in single precision: as in a loaded scene."""
+    with np.errstate(over="ignore"):
+        return np.array(to_world.matrix, np.float64).astype(np.float32).astype(np.float64)
 
 
 def _open_merged_instances(mi: Any, state: Any) -> None:

@@ -324,8 +324,9 @@ def agreement(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> dict[str, An
     -------
     dict
         ``trees`` (their number), ``pearson``, ``spearman``, ``kendall``, ``without_worst`` (the
-        Pearson r without the tree that changes it most, as one absurd tree raises every r), and
-        ``worst_error`` (largest relative error of the least-squares line).
+        Pearson r without the tree that changes it most, as one absurd tree raises every r; NaN
+        where the others are all alike), and ``worst_error`` (largest relative error of the
+        least-squares line).
     """
     x, y = np.asarray(predicted, np.float64), np.asarray(measured, np.float64)
     result: dict[str, Any] = {"trees": len(x), "pearson": pearson(x, y)}
@@ -337,7 +338,8 @@ def agreement(predicted: npt.ArrayLike, measured: npt.ArrayLike) -> dict[str, An
     if len(x) > 3:
         kept = ~np.eye(len(x), dtype=bool)
         others = [pearson(x[rest], y[rest]) for rest in kept]
-        change = np.abs(np.nan_to_num(others, nan=result["pearson"]) - result["pearson"])
+        # Where nothing varies without a tree, r is that tree's alone: no change is greater.
+        change = np.nan_to_num(np.abs(np.array(others) - result["pearson"]), nan=np.inf)
         result["without_worst"] = others[int(change.argmax())]
     (variance, covariance), _ = np.cov(x, y, bias=True)
     slope = covariance / variance

@@ -277,12 +277,15 @@ def _others(correlations: pd.DataFrame, advised: Advice | None) -> Iterator[str]
 def _leaning(correlations: pd.DataFrame, advised: Advice) -> str:
     """State what is left of r without one tree: a very bad one raises every r."""
     counted = correlations[correlations["measurement"] == "counted_cost"]
-    left = counted.groupby("predictor")["without_worst"].mean()
-    left = left.reindex(list(dict.fromkeys((advised.name, "SAH"))))
-    if not np.isfinite(left).all():
+    left = counted.pivot(index="scene", columns="predictor", values="without_worst")
+    left = left.reindex(columns=list(dict.fromkeys((advised.name, "SAH"))))
+    known = left.dropna()
+    if known.empty:
         return ""
-    told = [f"{name} {r:.3f}" for name, r in left.items()]
-    return f". Without the tree that changes it most in each scene, r is {', '.join(told)}"
+    told = [f"{name} {r:.3f}" for name, r in known.mean().items()]
+    few = f"the {len(known)} scenes that then have an r"
+    where = "each scene" if len(known) == len(left) else few
+    return f". Without the tree that changes it most, in {where}, r is {', '.join(told)}"
 
 
 def _worst(correlations: pd.DataFrame, name: str) -> str:
