@@ -17,7 +17,14 @@ from mibvh.errors import MibvhError
 from mibvh.instances import placed_shapes
 from mibvh.loading import printable, read_mesh, sandbox
 from mibvh.loading.parser import Parsed, mitsuba_reason, parse_dict, parse_file
-from mibvh.loading.shapes import mesh_corners, shape_key, shape_kind, shape_triangles, transformed
+from mibvh.loading.shapes import (
+    mesh_corners,
+    see_through,
+    shape_key,
+    shape_kind,
+    shape_triangles,
+    transformed,
+)
 from mibvh.memory import require_memory
 from mibvh.triangles import F32, F64, Triangles
 from mibvh.variant import mitsuba, mitsuba_traces, reading_variant
@@ -330,6 +337,8 @@ def _from_shapes(name: str, parsed: Parsed, where: str) -> Scene:
         raise MibvhError(f"{where}: the id of a shape, or of a part of it, is not UTF-8") from None
     except MibvhError as error:
         raise MibvhError(f"{where}: {error}") from None
+    if note := see_through([found.shape for found in placed]):
+        notes.append(note)
     if not shapes:
         detail = f" ({'; '.join(notes)})" if notes else ""
         raise MibvhError(f"{where}: there is no triangle in it{detail}")

@@ -12,6 +12,7 @@ import mibvh
 import mibvh.mitsuba
 from mibvh.cli import main
 from mibvh.mitsuba import Accelerator, image_channels
+from mibvh.mitsuba.trees import TreeFile
 from mibvh.variant import mitsuba
 
 mi = mitsuba()
@@ -68,6 +69,20 @@ def test_heat_maps_compare_a_tree_file_with_another(scene, files):
     channels = image_channels(mi.render(scene, integrator=integrator, spp=1), integrator)
     assert channels["morton.cost"].mean() > 1
     assert np.array_equal(channels["morton.cost"], channels["lbvh.cost"])
+
+
+def test_a_tree_of_a_scene_with_its_instances_is_refused_by_name(tmp_path):
+    """Mitsuba traces the instances, beside the tree of the rest."""
+    path = tmp_path / "scene.xml"
+    path.write_text(
+        '<scene version="3.0.0"><shape type="shapegroup" id="g"><shape type="cube"/></shape>'
+        '<shape type="instance"><ref id="g"/></shape><shape type="rectangle"/></scene>'
+    )
+    mibvh.build(path, "lbvh").save(tmp_path / "all.npz")
+    given = TreeFile(str(tmp_path / "all.npz"))
+    said = r"another geometry than the scene without its instances \(2 triangles\)"
+    with pytest.raises(mibvh.MibvhError, match=said):
+        Accelerator(mi.load_file(str(path)), given)
 
 
 def test_a_file_written_anew_is_read_anew(scene, tmp_path):

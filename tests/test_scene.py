@@ -143,6 +143,24 @@ def test_bad_input_gets_one_sentence(tmp_path):
         mibvh.load(other)
 
 
+def test_a_format_that_wants_another_package_names_it(tmp_path, monkeypatch):
+    from mibvh import loading
+
+    file = tmp_path / "arm.dae"
+    file.write_text("<COLLADA/>")
+    monkeypatch.setattr(loading, "mesh_formats", lambda: frozenset(["obj"]))
+    with pytest.raises(mibvh.MibvhError, match=r"arm.dae: \.dae files .* are installed: pycollada"):
+        mibvh.load(file)
+
+
+def test_masks_are_not_ignored_without_a_word(tmp_path):
+    mask = '<bsdf type="mask"><float name="opacity" value="0.5"/><bsdf type="diffuse"/></bsdf>'
+    body = f'<shape type="cube">{mask}</shape><shape type="rectangle"><bsdf type="null"/></shape>'
+    (note,) = mibvh.load(xml(tmp_path, body)).notes
+    assert note.startswith("2 shapes have a mask or null material, which is ignored")
+    assert mibvh.load(xml(tmp_path, '<shape type="cube"/>')).notes == []
+
+
 def test_a_scene_file_may_name_our_integrators(tmp_path):
     """In a fresh process, that has not imported the plugins."""
     scene = tmp_path / "s.xml"

@@ -19,6 +19,15 @@ from mibvh.triangles import Triangles
 _FORMATS = {"obj": "obj", "ply": "ply", "stl": "stl", "off": "off", "glb": "gltf", "gltf": "gltf"}
 #: Formats that trimesh opens too, but that are archives or no surfaces of triangles.
 _NOT_MESHES = frozenset(["bz2", "tar.bz2", "tar.gz", "zip", "xyz", "dxf", "stl_ascii"])
+#: What trimesh needs to open some more.
+_PACKAGES = {
+    "dae": "pycollada",
+    "zae": "pycollada",
+    "3mf": "lxml and networkx",
+    "xaml": "lxml",
+    "step": "cascadio",
+    "stp": "cascadio",
+}
 
 
 def mesh_formats() -> frozenset[str]:
@@ -54,6 +63,11 @@ def read_mesh(path: Path) -> tuple[Triangles, list[str]]:
     kind = path.suffix.lower().lstrip(".")
     if kind in _NOT_MESHES | {"gz", "xz", "7z", "rar", "zst"}:
         raise MibvhError(f"{printable(path)}: .{kind} files are not read; unpack or convert it")
+    if kind not in mesh_formats() and kind in _PACKAGES:
+        raise MibvhError(
+            f"{printable(path)}: .{kind} files are read once the packages that trimesh needs for "
+            f"them are installed: {_PACKAGES[kind]}"
+        )
     if kind not in mesh_formats():
         raise MibvhError(
             f"{printable(path)}: neither Mitsuba XML nor a mesh format that is read "
@@ -133,7 +147,7 @@ def _checked(mesh: Mesh, name: str) -> Triangles:
     lost = collapsed(mesh.corners, rounded)
     if lost:
         mesh.notes.append(
-            f"{lost:,} triangles lose their area in single precision: they are too far from the "
-            "origin for their size; move them there first"
+            f"{lost:,} triangles lose their area in single precision: they are too thin, or too "
+            "far from the origin for their size (then move them there first)"
         )
     return triangles

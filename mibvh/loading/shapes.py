@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,16 @@ def mesh_corners(mesh: Any) -> F32:
     except Refused as error:
         raise MibvhError(f"{shape_kind(mesh)} {mesh.id()!r}: {error}") from None
     return vertices[faces]
+
+
+def see_through(shapes: Sequence[Any]) -> str:
+    """Return a note on shapes whose material lets rays pass that here meet a wall; or nothing."""
+    kinds = [bsdf.class_name() for shape in shapes if (bsdf := shape.bsdf()) is not None]
+    count = sum(kind.startswith(("Mask", "Null")) for kind in kinds)
+    if not count:
+        return ""
+    many = f"{count} shapes have" if count > 1 else "1 shape has"
+    return f"{many} a mask or null material, which is ignored: rays hit all of its triangles"
 
 
 def shape_triangles(shape: Any) -> tuple[F32 | None, str]:

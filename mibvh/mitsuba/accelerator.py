@@ -72,8 +72,12 @@ class Accelerator:
         others = [shape for shape in shapes if not holds(shape)]
         if not meshes:
             raise MibvhError("there is no mesh in the scene to build a tree for")
+        # Instances cannot be taken out of their scene. Mitsuba then traces the whole scene, and its
+        # hits on meshes of the tree are ignored.
+        self._all_traced = any(shape_kind(shape) == "Instance" for shape in others)
         parts = [mesh_corners(shape) for shape in meshes]
-        self.triangles = Triangles(np.concatenate(parts), "scene")
+        name = "the scene without its instances" if self._all_traced else "scene"
+        self.triangles = Triangles(np.concatenate(parts), name)
         self.tree: Tree
         if isinstance(builder, str):
             builder = Builder(builder, tuple(sorted(options.items())))
@@ -92,9 +96,6 @@ class Accelerator:
         first_of[pointers] = first
         self._first_of = mi.Int32(first_of)
         dr.eval(self._first_of)
-        # Instances cannot be taken out of their scene. Mitsuba then traces the whole scene, and its
-        # hits on meshes of the tree are ignored.
-        self._all_traced = any(shape_kind(shape) == "Instance" for shape in others)
         self._others = scene if self._all_traced else _scene_of(others) if others else None
         if others:
             warnings.warn(
