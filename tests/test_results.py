@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import scene_record, tree_row
 
 import mibvh
 from mibvh.errors import MibvhError
@@ -14,6 +15,7 @@ from mibvh.studies.record.options import StudyOptions
 from mibvh.studies.record.sheet import Column, Sheet
 from tools.results import all_builders, blocks, quoted
 from tools.results.__main__ import main
+from tools.results.later import later_sheets
 from tools.results.pages import OLD, PAGES, marked_as_old, on_page
 from tools.results.study import scenes_of, stages
 
@@ -222,6 +224,22 @@ def test_the_page_of_real_scenes_holds_the_study(tmp_path):
     assert any(line.startswith(f"| finite | {over:.3f} |") for line in rows)
     scene = (costs["ploc"] / costs[nine].min(axis=1))["small"]
     assert any(f" {scene:.3f} |" in line for line in page.splitlines() if "| small |" in line)
+
+
+def test_later_builders_stand_beside_the_nine_without_times():
+    nan = float("nan")
+    trees = [
+        tree_row(name, counted_cost=cost, sah=cost, scalar_ns=nan, simd_ns=nan, warp_cost=cost)
+        for name, cost in (("bbvh", 4.0), ("sbvh", 2.0), ("ploc", 5.0), ("finite", 1.0))
+    ]
+    records = [scene_record(trees, name) for name in ("one", "two")]
+    sheets = {sheet.name: sheet.frame for sheet in later_sheets(records)}
+    assert sheets["later-scenes"]["ploc"].tolist() == [2.5, 2.5, pytest.approx(2.5)]
+    means = sheets["later-means"].set_index("builder")
+    assert means.loc["finite", "counted_cost"] == pytest.approx(0.5)
+    assert means["scalar_ns"].isna().all()
+    assert "finite" in next(s.title for s in later_sheets(records) if s.name == "later-cheapest")
+    assert later_sheets([scene_record(trees[:2], "one")]) == []
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ _MEAN = "geometric mean"
 
 
 def later_sheets(records: Sequence[SceneRecord]) -> list[Sheet]:
-    """Return the tables of scenes that all have the same trees.
+    """Return the tables of scenes that all have the same trees; none without later builders.
 
     Parameters
     ----------
@@ -37,6 +37,8 @@ def later_sheets(records: Sequence[SceneRecord]) -> list[Sheet]:
     """
     over = {measure: over_best(records, measure) for measure in _MEASURES}
     means = pd.DataFrame({measure: _geometric(frame) for measure, frame in over.items()})
+    if means["counted_cost"].isna().all():
+        return []
     ratios = pd.DataFrame({name: _ratio(records, *of) for name, of in _RATIOS.items()})
     cheapest = str(means["counted_cost"].idxmin())
     of_cheapest = pd.DataFrame({measure: frame[cheapest] for measure, frame in over.items()})
@@ -83,7 +85,7 @@ def over_best(records: Sequence[SceneRecord], measure: str) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        A row per scene, a column per builder; of trees that every scene has.
+        A row per scene, a column per builder; NaN where it is not known.
     """
     table = _table(records, measure)
     best = table[[name for name in names() if name in table]].min(axis=1, skipna=False)
@@ -94,7 +96,7 @@ def _table(records: Sequence[SceneRecord], measure: str) -> pd.DataFrame:
     rows = {
         record.scene: {tree.builder: tree[measure] for tree in record.trees} for record in records
     }
-    return pd.DataFrame.from_dict(rows, orient="index").dropna(axis=1, how="all")
+    return pd.DataFrame.from_dict(rows, orient="index")
 
 
 def _geometric(frame: pd.DataFrame) -> pd.Series:
