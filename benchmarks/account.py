@@ -27,16 +27,21 @@ import numpy as np
 import mibvh
 from mibvh._jit import njit
 from mibvh.builders import names
-from mibvh.metrics.lines import RayLines, inside_box, line_costs, ray_lines, sah_of_lines
-from mibvh.metrics.points import point_costs, ray_starts, triangle_positions
+from mibvh.metrics.lines import (
+    BEYOND,
+    RayLines,
+    inside_box,
+    line_costs,
+    ray_lines,
+    sah_of_lines,
+)
+from mibvh.metrics.points import Held, Nodes, point_costs, ray_starts, triangle_positions
 from mibvh.metrics.predictor import finite_ray_cost, path_length_ratio, pearson
 from mibvh.metrics.sah import node_costs
 from mibvh.surface import on_surface
 
 #: Lines that are walked through the boxes of a tree.
 _LINES = 8192
-#: How far the hit's distance is prolonged, as for ``touched``: it is rounded to float32.
-_BEYOND = 2.0**-20
 _HEADS = (
     "finite rays",
     "finite by lines",
@@ -57,20 +62,6 @@ class _Ends(NamedTuple):
     triangle: Any
 
 
-class _Nodes(NamedTuple):
-    """A tree's arrays, and the positions of each triangle's references."""
-
-    lower: Any
-    upper: Any
-    left: Any
-    first: Any
-    count: Any
-    depth: int
-    cost: Any
-    starts: Any
-    positions: Any
-
-
 @njit
 def _span(nodes, node, o, d):
     """Where a line enters and leaves a box; the exit lies before the entry if it misses."""
@@ -86,10 +77,10 @@ def _span(nodes, node, o, d):
 
 
 @njit
-def _above(nodes, node, triangle):
+def _above(nodes, held, node, triangle):
     """Whether a node has a reference to a triangle below it."""
-    for k in range(nodes.starts[triangle], nodes.starts[triangle + 1]):
-        if 0 <= nodes.positions[k] - nodes.first[node] < nodes.count[node]:
+    for k in range(held.starts[triangle], held.starts[triangle + 1]):
+        if 0 <= held.positions[k] - nodes.first[node] < nodes.count[node]:
             return True
     return False
 
@@ -110,7 +101,7 @@ def _comes_first(nodes, child, other, o, d):
 
 
 @njit
-def _beyond(ends, nodes, out):
+def _beyond(ends, nodes, held, out):
     """Cost of the nodes beyond each hit: out[:, 0] those for certain, out[:, 1] those by order."""
     stack, unknown = np.empty(nodes.depth + 2, np.int32), np.empty(nodes.depth + 2, np.bool_)
     for i in range(len(ends.triangle)):
@@ -132,7 +123,7 @@ def _beyond(ends, nodes, out):
                 follow = foreign
                 if not foreign and around:
                     other = left if child > left else left + 1
-                    follow = not _above(nodes, child, triangle)
+                    follow = not _above(nodes, held, child, triangle)
                     if follow and not _comes_first(nodes, child, other, o, d):
                         continue
                 elif not foreign:
@@ -142,15 +133,15 @@ def _beyond(ends, nodes, out):
 
 
 @njit
-def _ahead(lines, nodes, out):
+def _ahead(o, d, nodes, out):
     """Cost of the nodes that each half-line enters, and that do not hold its start."""
     stack = np.empty(nodes.depth + 2, np.int32)
-    for i in range(len(lines[0])):
+    for i in range(len(o)):
         stack[0], top = 0, 1
         while top > 0:
             top -= 1
             node = stack[top]
-            near, far = _span(nodes, node, lines[0][i], lines[1][i])
+            near, far = _span(nodes, node, o[i], d[i])
             if far < max(near, 0.0):
                 continue
             if near > 0.0:
@@ -169,23 +160,19 @@ def account(scene: mibvh.Scene, builders: list[str]) -> tuple[np.ndarray, np.nda
         tree = mibvh.build(scene, name)
         hits = mibvh.trace(tree, scene, rays)
         if lines is None:
-            lines, ratio = (
-                ray_lines(triangles, rays, hits, _LINES),
-                path_length_ratio(triangles, rays, hits),
-            )
-            triangle = hits.triangle[:: -(-len(rays) // _LINES)]
-            ends = _ends(triangles, lines, triangle)
-        nodes = _Nodes(
-            *(tree.lower, tree.upper, tree.left, tree.first, tree.count, tree.depth),
-            node_costs(tree),
-            *triangle_positions(tree, len(triangles)),
-        )
+            lines = ray_lines(triangles, rays, hits, _LINES)
+            ratio = path_length_ratio(triangles, rays, hits)
+            step = max(1, -(-len(rays) // _LINES))  # that of the lines
+            ends = _ends(triangles, lines, hits.triangle[::step])
+        arrays = tree.lower, tree.upper, tree.left, tree.first, tree.count, tree.depth
+        nodes = Nodes(*arrays, node_costs(tree))
+        held = Held(*triangle_positions(tree, len(triangles)))
         query = float(
             point_costs(tree, triangles, starts.points, starts.triangle).sum(axis=1).mean()
         )
         of_lines = sah_of_lines(tree, lines).value
         beyond = np.zeros((len(ends.triangle), 2))
-        _beyond(ends, nodes, beyond)
+        _beyond(ends, nodes, held, beyond)
         touched = float(line_costs(tree, lines, whole=False).mean())
         sure, by_order = np.cumsum(beyond.sum(axis=0) / len(lines))
         predicted.append(
@@ -206,14 +193,14 @@ def _ends(triangles: mibvh.Triangles, lines: RayLines, triangle: np.ndarray) -> 
     hit = np.flatnonzero(triangle >= 0)
     o, d, length = lines.o[hit], lines.d[hit], lines.length[hit]
     point = on_surface(triangles, o + d * length[:, None], triangle[hit])
-    return _Ends(o, d, length * (1 + _BEYOND), point, triangle[hit])
+    return _Ends(o, d, length * (1 + BEYOND), point, triangle[hit])
 
 
-def _entered(triangles: mibvh.Triangles, lines: RayLines, nodes: _Nodes) -> float:
+def _entered(triangles: mibvh.Triangles, lines: RayLines, nodes: Nodes) -> float:
     """Cost of the nodes ahead of each start, by the share of the way ahead that the ray covers."""
     _, leaves = inside_box(triangles.bounds.astype(np.float64), lines.o, lines.d)
     out = np.zeros(len(lines))
-    _ahead((lines.o, lines.d), nodes, out)
+    _ahead(lines.o, lines.d, nodes, out)
     inside = leaves > 0
     share = np.minimum(lines.length[inside] / leaves[inside], 1.0)
     return float((share * out[inside]).sum() / len(lines))

@@ -25,7 +25,7 @@ from mibvh.wide_tree import WideTree, as_binary
 _BLOCK = 1024
 #: How far beyond its hit a ray is followed, as a share of the distance: that is rounded to float32,
 #: so that half of the rays would end before the flat box of the wall that they hit.
-_BEYOND = 2.0**-20
+BEYOND = 2.0**-20
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -150,7 +150,7 @@ def line_costs(tree: Tree | WideTree, lines: RayLines, *, whole: bool = True) ->
     costs = node_costs(tree)
     out = np.zeros(len(lines))
     start = -np.inf if whole else 0.0
-    stop = np.full(len(lines), np.inf) if whole else lines.length * (1 + _BEYOND)
+    stop = np.full(len(lines), np.inf) if whole else lines.length * (1 + BEYOND)
 
     def work(_worker: int, begin: int, end: int) -> None:
         _pierced(

@@ -47,7 +47,7 @@ class Estimate:
         return self.value - reach, self.value + reach
 
 
-class _Nodes(NamedTuple):
+class Nodes(NamedTuple):
     """A tree's arrays as a query reads them."""
 
     lower: Any
@@ -59,7 +59,7 @@ class _Nodes(NamedTuple):
     cost: Any  #: (M,) float64: what each node adds to the sums
 
 
-class _Held(NamedTuple):
+class Held(NamedTuple):
     """Positions of each triangle's references, from :func:`triangle_positions`."""
 
     starts: Any
@@ -201,8 +201,8 @@ def _sums(
 ) -> F64:
     """(P, 2) float64: weights of the foreign nodes around each point, and of the point's own."""
     out = np.zeros((len(points), 2))
-    held = _Held(starts, positions)
-    nodes = _Nodes(tree.lower, tree.upper, tree.left, tree.first, tree.count, tree.depth, weights)
+    held = Held(starts, positions)
+    nodes = Nodes(tree.lower, tree.upper, tree.left, tree.first, tree.count, tree.depth, weights)
 
     def work(_worker: int, begin: int, end: int) -> None:
         _query(begin, end, points, ids, held, nodes, out)
